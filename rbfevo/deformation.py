@@ -1,0 +1,55 @@
+"""From control points to the deformation matrix U of X' = X + U P (paper, eqs. 2 to 5)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from rbfevo.errors import UserError
+from rbfevo.kernels import Kernel, distances
+
+MANIPULATIONS = ("indirect", "direct")
+
+
+class RBFDeformation(nn.Module):
+    """The RBF deformation of a design: centers [*pop, m, d] -> U [*pop, n, m].
+
+    Indirect manipulation moves the weights, U = Phi (eq. 2); direct manipulation moves the centers, U = Phi Psi^-1
+    (eq. 4). There is no polynomial term (eq. 1).
+
+    Args:
+        vertices: [n, d], model units.
+        kernel: phi.
+        manipulation: `indirect` or `direct`.
+
+    Raises:
+        UserError: if the manipulation is unknown.
+    """
+
+    def __init__(self, vertices: Tensor, kernel: Kernel, manipulation: str = "indirect") -> None:
+        super().__init__()
+        if manipulation not in MANIPULATIONS:
+            raise UserError(
+                f"manipulation={manipulation}: there is no such manipulation; choose {' or '.join(MANIPULATIONS)}"
+            )
+        self.register_buffer("vertices", vertices)
+        self.vertices: Tensor
+        self.kernel = kernel
+        self.manipulation = manipulation
+
+    def phi(self, centers: Tensor) -> Tensor:
+        """Phi_ij = phi(|c_j - x_i|), [*pop, n, m]."""
+        return self.kernel(distances(self.vertices, centers))
+
+    def psi(self, centers: Tensor) -> Tensor:
+        """Psi_ij = phi(|c_j - c_i|), [*pop, m, m], symmetric."""
+        return self.kernel(distances(centers, centers))
+
+    def forward(self, centers: Tensor) -> Tensor:
+        """U [*pop, n, m]; direct setups with a singular Psi come out as infinite or NaN instead of raising."""
+        phi = self.phi(centers)
+        if self.manipulation == "indirect":
+            return phi
+        # U Psi = Phi; solve_ex does not raise for a batch in which one Psi is singular.
+        solution, _ = torch.linalg.solve_ex(self.psi(centers).mT, phi.mT)
+        return solution.mT

@@ -1,0 +1,192 @@
+"""The evaluator that methods use: centers of a whole population in, scores out, blocked over the vertices.
+
+One pass accumulates G = Phi^T Phi and b = Phi^T g. With G = L L^T, P = |L^-1 b|_F^2 (eq. 8), the singular values of Phi are
+those of L^T, and those of Phi Psi^-1 are those of L^T Psi^-1 (eqs. 4 and 7). Forming G squares the condition number,
+so ill-conditioned setups get further passes (CholeskyQR2: Yamamoto et al. 2015; shifted where Cholesky fails: Fukaya et
+al. 2020), and those that stay numerically rank-deficient a blocked Householder QR, which is as good as the definition.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rbfevo.deformation import RBFDeformation
+from rbfevo.errors import UserError
+from rbfevo.evolvability import EPS, Scores, cutoff, score, singular
+from rbfevo.gram import GramAccumulator
+from rbfevo.kernels import Kernel, distances
+
+TRIGGER = 3e-5  # below this R(Phi), G has lost too many digits: eps / TRIGGER^2 is 2e-7
+QR_ROWS = 4096
+
+
+class Evaluator:
+    """Scores populations of setups of one design.
+
+    Args:
+        vertices: [n, d] float64, model units.
+        gradient: g [n, k], of unit (weighted) Frobenius norm.
+        kernel: phi.
+        manipulation: `indirect` or `direct`.
+        weights: [n] positive, or None for ones.
+        backend: `auto`, `fused` or `eager`, see `GramAccumulator`.
+        block: vertices a block, or None.
+
+    Attributes:
+        evaluations: setups scored so far; failed_evaluations: those with non-finite centers or scores.
+        further_passes: setups that needed more than one pass; factorizations: those that needed QR.
+    """
+
+    def __init__(
+        self,
+        vertices: Tensor,
+        gradient: Tensor,
+        kernel: Kernel,
+        manipulation: str = "indirect",
+        weights: Tensor | None = None,
+        backend: str = "auto",
+        block: int | None = None,
+    ) -> None:
+        self.deformation = RBFDeformation(vertices, kernel, manipulation)
+        self.gradient = gradient
+        self.weights = torch.ones_like(vertices[:, 0]) if weights is None else weights
+        self.gram = GramAccumulator(vertices, gradient, self.weights, kernel, backend, block)
+        self.evaluations = self.failed_evaluations = self.further_passes = self.factorizations = 0
+
+    @property
+    def backend(self) -> str:
+        """What runs: `fused` or `eager`."""
+        return self.gram.backend
+
+    def definition(self, centers: Tensor) -> Scores:
+        """Scores [*pop] of centers [*pop, m, d] by the definition; the reference, slower by a factor of 50."""
+        return score(self.deformation, centers, self.gradient, self.weights)
+
+    @torch.no_grad()
+    def __call__(self, centers: Tensor) -> Scores:
+        """Scores [*pop] of centers [*pop, m, d]; regularity, improvement potential and variability are maximized.
+
+        Never raises for what a setup's values are: non-finite ones fail and score 0, the others are untouched.
+
+        Raises:
+            UserError: if the shape does not fit the design.
+        """
+        n, d = self.deformation.vertices.shape
+        if centers.ndim < 2 or centers.shape[-1] != d or centers.shape[-2] < 1:
+            raise UserError(f"centers must have shape [*pop, m, {d}] with m >= 1, not {list(centers.shape)}")
+        m = centers.shape[-2]
+        if m > n:
+            raise UserError(f"{m} centers are more than the design's {n} vertices; use fewer centers")
+        setups = centers.reshape(-1, m, d)
+        finite = torch.isfinite(setups).all(-1).all(-1)
+        setups = torch.where(finite[:, None, None], setups, 0.0)
+        regularity, potential, rank = self._score(setups, finite)
+        failed = ~(finite & torch.isfinite(regularity) & torch.isfinite(potential))
+        zero = torch.zeros_like(regularity)
+        self.evaluations += len(setups)
+        self.failed_evaluations += int(failed.sum())
+        columns = (torch.where(failed, zero, c) for c in (regularity, potential.clamp(0.0, 1.0), rank / n))
+        regularity, potential, variability = (c.reshape(centers.shape[:-2]) for c in columns)
+        return Scores(regularity, potential, variability, failed.reshape(centers.shape[:-2]))
+
+    def _score(self, setups: Tensor, finite: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """R, P and rank [p] of setups [p, m, d]; NaN where a setup is not usable."""
+        m = setups.shape[1]
+        M = self.gram(setups)
+        usable = finite & torch.isfinite(M).flatten(1).all(1)
+        M = torch.where(usable[:, None, None], M, torch.eye(M.shape[-1], dtype=M.dtype, device=M.device))
+        G, b = M[:, :m, :m], M[:, :m, m:]
+        # A column that no vertex feels takes nothing from P and the rank of the others: decouple it.
+        largest = G.diagonal(dim1=1, dim2=2).amax(1, keepdim=True)
+        empty = G.diagonal(dim1=1, dim2=2) == 0
+        G = G + torch.diag_embed(torch.where(empty, largest.where(largest > 0, 1.0), 0.0))
+        L, sound = _cholesky(G)
+        potential = torch.linalg.solve_triangular(L, b, upper=False).square().sum((1, 2))
+        rank = m - empty.sum(1)
+        sigma = torch.linalg.svdvals(L)
+        index = torch.nonzero(usable & ~(sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0]))).flatten()
+        if len(index):
+            self.further_passes += len(index)
+            L[index], potential[index], rank[index] = self._refine(
+                setups[index], G[index], L[index], sound[index], empty[index]
+            )
+            sigma[index] = torch.linalg.svdvals(L[index])
+        if self.deformation.manipulation == "direct":
+            regularity = self._direct(setups, L)
+        else:
+            regularity = sigma[:, -1] / sigma[:, 0]
+        regularity = torch.where(rank == m, regularity, 0.0)
+        nan = torch.nan
+        return torch.where(usable, regularity, nan), torch.where(usable, potential, nan), rank
+
+    def _direct(self, setups: Tensor, L: Tensor) -> Tensor:
+        """R [p] of Phi Psi^-1, whose singular values are those of L^T Psi^-1; 0 where Psi is singular."""
+        m = setups.shape[1]
+        kernel = self.deformation.kernel
+        Psi = kernel(distances(setups, setups))
+        identity = torch.eye(m, dtype=Psi.dtype, device=Psi.device)
+        LU, pivots, _ = torch.linalg.lu_factor_ex(Psi)
+        solution = torch.linalg.lu_solve(LU, pivots, torch.cat((L, identity.expand_as(L)), dim=2))  # Psi = Psi^T
+        lost = singular(Psi, solution[:, :, m:]) | ~torch.isfinite(solution).flatten(1).all(1)
+        sigma = torch.linalg.svdvals(torch.where(lost[:, None, None], identity, solution[:, :, :m]))
+        return torch.where(lost, 0.0, sigma[:, -1] / sigma[:, 0])
+
+    def _refine(
+        self, setups: Tensor, G: Tensor, L: Tensor, sound: Tensor, empty: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Triangular factor, P and rank of ill-conditioned setups by CholeskyQR2, or by QR where that fails."""
+        (n, _), m = self.deformation.vertices.shape, setups.shape[1]
+        identity = torch.eye(m, dtype=G.dtype, device=G.device)
+        shift = 11.0 * (m * n + m * (m + 1)) * EPS * G.diagonal(dim1=1, dim2=2).sum(1)
+        shifted, _ = _cholesky(G + shift[:, None, None] * identity)
+        T = torch.where(sound[:, None, None], L, shifted)
+        potential = torch.zeros_like(T[:, 0, 0])
+        rank = m - empty.sum(1)
+        pending = torch.arange(len(T), device=T.device)
+        lost: list[Tensor] = []
+        for _ in range(3):  # two suffice after an unshifted factor, three after a shifted one
+            M = self.gram(setups[pending], T[pending])
+            M = torch.where(torch.isfinite(M).flatten(1).all(1)[:, None, None], M, 0.0)
+            L2, sound = _cholesky(M[:, :m, :m] + torch.diag_embed(empty[pending].to(M.dtype)))
+            sigma = torch.linalg.svdvals(L2)
+            done = sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0])
+            y = torch.linalg.solve_triangular(L2, M[:, :m, m:], upper=False)
+            T[pending] = torch.where(sound[:, None, None], T[pending] @ L2, T[pending])
+            potential[pending] = y.square().sum((1, 2))
+            lost.append(pending[~sound])
+            pending = pending[sound & ~done]
+            if not len(pending):
+                break
+        sigma = torch.linalg.svdvals(T)
+        deficient = sigma[:, -1] <= cutoff(n, m) * sigma[:, 0]
+        deficient[torch.cat([*lost, pending])] = True
+        index = torch.nonzero(deficient).flatten()
+        if len(index):
+            self.factorizations += len(index)
+            T[index], potential[index], rank[index] = self._factorize(setups[index])
+        return T, potential, rank
+
+    def _factorize(self, setups: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Triangular factor, P and rank by blocked Householder QR of (Phi g), as good as an SVD of Phi."""
+        vertices, kernel = self.deformation.vertices, self.deformation.kernel
+        (n, _), (p, m, _), k = vertices.shape, setups.shape, self.gradient.shape[1]
+        roots = self.weights.sqrt()[:, None]
+        R = torch.zeros(p, m + k, m + k, dtype=setups.dtype, device=setups.device)
+        for e in range(p):  # one at a time: a batch of QR runs no faster and needs p times the memory
+            for begin in range(0, n, QR_ROWS):
+                rows = slice(begin, begin + QR_ROWS)
+                Phi = kernel(distances(vertices[rows], setups[e]))
+                block = roots[rows] * torch.cat((Phi, self.gradient[rows]), dim=1)
+                R[e] = torch.linalg.qr(torch.cat((R[e], block)), mode="r")[1]
+        left, sigma, _ = torch.linalg.svd(R[:, :m, :m])
+        kept = sigma > cutoff(n, m) * sigma[:, :1]
+        potential = torch.where(kept[:, :, None], left.mT @ R[:, :m, m:], 0.0).square().sum((1, 2))
+        return R[:, :m, :m].mT, potential, kept.sum(1)
+
+
+def _cholesky(G: Tensor) -> tuple[Tensor, Tensor]:
+    """Lower factors [p, m, m], the identity where there is none, and whether there is one [p]; never raises."""
+    L, info = torch.linalg.cholesky_ex(G)
+    sound = (info == 0) & torch.isfinite(L).flatten(1).all(1)
+    return torch.where(sound[:, None, None], L, torch.eye(G.shape[-1], dtype=G.dtype, device=G.device)), sound

@@ -1,0 +1,185 @@
+"""front.png: one panel of the paper's figures 3 and 6, improvement potential over regularity."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
+
+from rbfevo.figures import style
+from rbfevo.figures.record import Array, Record, knee
+
+DECADES = 2.0  # a regularity that spans more than this is drawn on a logarithmic axis
+
+
+class Series(NamedTuple):
+    """How the setups of one kind are drawn."""
+
+    label: str
+    color: str
+    marker: str
+    size: float
+    order: int
+    filled: bool = True
+
+
+class Scale(NamedTuple):
+    """The x axis: linear, or logarithmic with a margin left of `edge` where the setups of regularity 0 stand."""
+
+    logarithmic: bool
+    lower: float
+    upper: float
+    edge: float = 0.0
+    zero: float = 0.0
+
+    def place(self, regularity: Array) -> Array:
+        """Return where `regularity` stands on the axis."""
+        return np.where(regularity > 0, regularity, self.zero) if self.logarithmic else regularity
+
+
+def picture(record: Record) -> Figure:
+    """Draw the setups of a run: both scores are maximized, so good is to the right and up."""
+    with style.typography():
+        figure = Figure(figsize=(7.6, 4.7))
+        axes = figure.add_axes((0.095, 0.125, 0.62, 0.735))
+        scale = _scale(record.regularity[record.scored])
+        _prepare(axes, scale, record.improvement_potential[record.scored])
+        _staircase(axes, scale, record)
+        for name, rows in _kinds(record):
+            series = _series(record, *name)
+            axes.scatter(
+                scale.place(record.regularity[rows]),
+                record.improvement_potential[rows],
+                s=series.size,
+                marker=series.marker,
+                facecolor=series.color if series.filled else "white",
+                edgecolor="white" if series.filled else series.color,
+                linewidth=0.4 if series.filled else 1.0,
+                zorder=series.order,
+                label=series.label,
+                clip_on=False,
+            )
+        _mark_knee(axes, scale, record)
+        if axes.get_legend_handles_labels()[0]:
+            axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.015), handletextpad=0.4, labelspacing=0.75)
+        figure.text(0.095, 0.945, record.title, fontsize=12, weight="bold", va="center")
+        figure.text(0.095, 0.895, _subtitle(record), color=style.GREY, va="center")
+    return figure
+
+
+def _kinds(record: Record) -> list[tuple[tuple[str, bool], Array]]:
+    """Rows with scores by (method, has a preference), in the order in which they first appear."""
+    kinds: dict[tuple[str, bool], list[int]] = {}
+    for row in np.flatnonzero(record.scored):
+        key = (str(record.method[row]), bool(np.isfinite(record.preference[row])))
+        kinds.setdefault(key, []).append(int(row))
+    return [(key, np.array(rows)) for key, rows in kinds.items()]
+
+
+def _series(record: Record, method: str, preferred: bool) -> Series:
+    """Colours and marks of the paper; what the paper does not have keeps its colour and changes its mark."""
+    if preferred:
+        return Series(f"preferences ({method})", style.MAGENTA, "^", 52, 5)
+    if method in ("nsga2", "gradient"):
+        second = method == "gradient" and "nsga2" in record.method
+        return Series(f"front ({method})", style.BLUE, "o", 24, 4, filled=not second)
+    if method == "random":
+        searched = bool((record.method != "random").any())
+        return Series("initial population" if searched else "random setups", style.GREEN, "o", 20, 3)
+    if method == "cmaes":
+        return Series("preferences (cmaes)", style.MAGENTA, "^", 52, 5)
+    if method == "lloyd":
+        return Series("Lloyd", style.ORANGE, "o", 84, 6)
+    if method == "ols":
+        return Series("OLS", style.ORANGE, "D", 66, 6)
+    return Series(method, style.GREY, "s", 30, 5)
+
+
+def _scale(regularity: Array) -> Scale:
+    """Choose the x axis for the regularities of all setups that are drawn."""
+    positive = regularity[regularity > 0]
+    if positive.size == 0:
+        return Scale(False, -0.03, 1.0)
+    low, high = float(positive.min()), float(positive.max())
+    decades = float(np.log10(high / low))
+    if decades <= DECADES:
+        low = float(regularity.min())
+        pad = 0.05 * (high - low if high > low else high)
+        return Scale(False, low - pad, high + pad)
+
+    def at(share: float) -> float:
+        return low * 10.0 ** (share * decades)
+
+    if positive.size == regularity.size:
+        return Scale(True, at(-0.04), at(1.04))
+    return Scale(True, at(-0.13), at(1.04), edge=at(-0.04), zero=at(-0.085))
+
+
+def _prepare(axes: Axes, scale: Scale, potential: Array) -> None:
+    """Name and tick the axes; the margin for regularity 0 has a tick of its own."""
+    axes.set_ylabel("improvement potential")
+    axes.set_xlabel("regularity (logarithmic)" if scale.logarithmic else "regularity")
+    axes.spines[["top", "right"]].set_visible(False)
+    if scale.logarithmic:
+        axes.set_xscale("log")
+    axes.set_xlim(scale.lower, scale.upper)
+    if potential.size:
+        low, high = float(potential.min()), float(potential.max())
+        pad = 0.05 * (high - low if high > low else max(high, 1e-3))
+        axes.set_ylim(low - pad, high + pad)
+    axes.grid(color=style.PALE, linewidth=0.5, alpha=0.7)
+    axes.set_axisbelow(True)
+    if scale.zero > 0:
+        for subdivisions, use in (((1,), axes.xaxis.set_major_locator), (range(2, 10), axes.xaxis.set_minor_locator)):
+            ticks = np.asarray(LogLocator(subs=subdivisions).tick_values(scale.lower, scale.upper))
+            use(FixedLocator(list(ticks[(ticks > scale.edge) & (ticks < scale.upper)])))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.axvspan(scale.lower, scale.edge, color="#f0f0f0", linewidth=0, zorder=0)
+        place = {"xycoords": axes.get_xaxis_transform(), "textcoords": "offset points", "ha": "center", "va": "top"}
+        axes.annotate("0", (scale.zero, 0), (0, -5), **place)
+
+
+def _staircase(axes: Axes, scale: Scale, record: Record) -> None:
+    """The edge of what the front dominates, from the left of the picture down to its bottom."""
+    front = record.front
+    if front.size == 0:
+        return
+    x, y = scale.place(record.regularity[front]), record.improvement_potential[front]
+    x, y = np.concatenate([[scale.lower], x, x[-1:]]), np.concatenate([y[:1], y, [axes.get_ylim()[0]]])
+    axes.step(x, y, where="pre", color=style.BLUE, linewidth=0.9, alpha=0.35, zorder=2)
+
+
+def _mark_knee(axes: Axes, scale: Scale, record: Record) -> None:
+    index = knee(record)
+    if index is None:
+        return
+    x, y = float(scale.place(record.regularity[index])), float(record.improvement_potential[index])
+    axes.scatter(
+        x,
+        y,
+        s=190,
+        marker="o",
+        facecolor="none",
+        edgecolor=style.INK,
+        linewidth=1.1,
+        zorder=7,
+        label="knee",
+        clip_on=False,
+    )
+
+
+def _subtitle(record: Record) -> str:
+    words = []
+    hypervolume = record.summary.get("hypervolume")
+    if isinstance(hypervolume, int | float):
+        words.append(f"hypervolume {hypervolume:.5g}")
+    words.append(f"{record.centers.shape[1]} center{'s' * (record.centers.shape[1] != 1)}")
+    if record.summary.get("seed") is not None:
+        words.append(f"seed {record.summary['seed']}")
+    lost = int((~record.scored).sum())
+    if lost:
+        words.append(f"{lost} setup{'s' * (lost != 1)} without scores not shown")
+    return " · ".join(words)

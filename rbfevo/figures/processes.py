@@ -1,0 +1,76 @@
+"""Each figure is drawn by a process of its own: a missing OpenGL can kill it, and must not take the run along."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+FIGURES = ("front", "centers")
+TIMEOUT = 120.0  # seconds for one process; a 3-D picture takes some five
+USER_ERROR = 2
+
+
+class Outcome(NamedTuple):
+    """How one figure went: the exit code (0: there is a new picture) and one line if something is worth saying."""
+
+    exit_code: int
+    warning: str | None
+
+
+def draw(run: Path) -> list[str]:
+    """Draw all figures of the run directory `run` and return one line for each thing that went wrong; never raises."""
+    return [outcome.warning for outcome in (draw_one(run, figure) for figure in FIGURES) if outcome.warning]
+
+
+def draw_one(run: Path, figure: str) -> Outcome:
+    """Draw `figure` in a process of its own, and once more without OpenGL where the first attempt broke down."""
+    code, reason = _attempt(command(run, figure))
+    if code == 0:
+        return Outcome(0, None)
+    if figure == "centers" and code != USER_ERROR and _attempt(command(run, figure, "--no-opengl"))[0] == 0:
+        return Outcome(0, f"{figure}.png was drawn without OpenGL: {reason}")
+    return Outcome(USER_ERROR if code == USER_ERROR else 1, f"{figure}.png could not be drawn: {reason}")
+
+
+def command(run: Path, figure: str, *options: str) -> list[str]:
+    """Return the command that draws one figure in its own process."""
+    return [sys.executable, "-m", "rbfevo.figures", os.path.abspath(run), "--only", figure, *options]  # noqa: PTH100
+
+
+def _attempt(words: list[str]) -> tuple[int, str]:
+    """Run a command and return its exit code and, unless that is 0, the reason in one line."""
+    package_root = str(Path(__file__).resolve().parents[2])
+    inherited = os.environ.get("PYTHONPATH")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (inherited, package_root)))}
+    try:
+        with tempfile.TemporaryDirectory() as elsewhere:  # a crash may leave a core file in its directory
+            done = subprocess.run(
+                words,
+                cwd=elsewhere,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=TIMEOUT,
+            )
+    except subprocess.TimeoutExpired:
+        return 1, f"nothing was there after {TIMEOUT:g} s"
+    except (OSError, ValueError, subprocess.SubprocessError) as error:
+        return 1, " ".join(str(error).split())
+    if done.returncode < 0:
+        return done.returncode, f"the process died of {_signal_name(-done.returncode)}"
+    lines = done.stderr.strip().splitlines()
+    return done.returncode, lines[-1].strip() if lines else f"the process ended with exit code {done.returncode}"
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"

@@ -1,0 +1,123 @@
+"""What a figure knows of a run: the arrays and the summary in its directory (DESIGN, section 5), checked once."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from rbfevo import pareto
+from rbfevo.errors import UserError
+
+Array = NDArray[Any]
+SETUPS = ("centers", "regularity", "improvement_potential", "method", "preference", "nondominated")
+SCENARIO = ("vertices", "faces", "gradient", "weights", "lower", "upper")
+
+
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """A run as its files tell it (NumPy, float64): p setups of m centers in d dimensions, a mesh of n vertices.
+
+    Attributes:
+        centers: [p, m, d], model units.
+        regularity, improvement_potential: [p], NaN where a setup has no score.
+        method, preference, nondominated: [p]; preference is NaN where there is none.
+        vertices, faces, gradient, weights: [n, d], [f, 3], [n, k] of unit (weighted) norm, [n].
+        lower, upper: [d] corners of the box.
+        summary: summary.json.
+    """
+
+    centers: Array
+    regularity: Array
+    improvement_potential: Array
+    method: Array
+    preference: Array
+    nondominated: Array
+    vertices: Array
+    faces: Array
+    gradient: Array
+    weights: Array
+    lower: Array
+    upper: Array
+    summary: dict[str, Any]
+
+    @property
+    def scored(self) -> Array:
+        """[p] True where both scores are finite."""
+        return np.isfinite(self.regularity) & np.isfinite(self.improvement_potential)
+
+    @property
+    def front(self) -> Array:
+        """Indices of the nondominated setups, by rising regularity, the better one first where it ties."""
+        members = np.flatnonzero(self.nondominated & self.scored)
+        return members[np.lexsort((-self.improvement_potential[members], self.regularity[members]))]
+
+    @property
+    def gradient_norm(self) -> float | None:
+        """The norm that the gradient had before it was scaled to 1, in model units; None if the run did not say."""
+        norm = self.summary.get("gradient_norm")
+        return float(norm) if isinstance(norm, int | float) and np.isfinite(norm) and norm > 0 else None
+
+    @property
+    def title(self) -> str:
+        """Scenario, kernel, support radius and manipulation in one line."""
+        say = self.summary.get
+        name = str(say("kernel", "unknown"))
+        kernel = f"{'Wendland' if name == 'wendland' else name} kernel"
+        if say("support") is not None:
+            kernel += f", support radius {say('support'):g}"
+        return f"{say('scenario', 'unknown')} · {kernel} · {say('manipulation', 'unknown')} manipulation"
+
+
+def read(run: Path) -> Record:
+    """Read setups.npz, scenario.npz and summary.json of the run directory `run`.
+
+    Raises:
+        UserError: if one of them is missing, unreadable, or does not fit the others.
+    """
+    setups, scenario = _arrays(run / "setups.npz", SETUPS), _arrays(run / "scenario.npz", SCENARIO)
+    summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
+    p, n = len(setups["regularity"]), len(scenario["vertices"])
+    fitting = (
+        setups["centers"].ndim == 3
+        and all(len(setups[key]) == p for key in SETUPS)
+        and setups["centers"].shape[2] == scenario["vertices"].shape[1]
+        and scenario["gradient"].ndim == 2
+        and all(len(scenario[key]) == n for key in ("gradient", "weights"))
+        and isinstance(summary, dict)
+    )
+    if not fitting:
+        raise UserError(f"{run}: setups.npz, scenario.npz and summary.json do not fit together")
+    setups["method"], setups["nondominated"] = setups["method"].astype(str), setups["nondominated"].astype(bool)
+    return Record(**setups, **scenario, summary=summary)
+
+
+def knee(record: Record) -> int | None:
+    """Return the row of the knee, None where no setup has scores."""
+    scores = np.stack([record.regularity, record.improvement_potential], axis=1)
+    return pareto.knee(torch.from_numpy(scores)) if record.scored.any() else None
+
+
+def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
+    def load(path: Path) -> dict[str, Array]:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in names}
+
+    return _load(path, load)
+
+
+def _load(path: Path, load: Any) -> Any:
+    try:
+        return load(path)
+    except FileNotFoundError:
+        raise UserError(f"{path} is missing: is {path.parent} a finished run?") from None
+    except KeyError as error:
+        raise UserError(f"{path} cannot be drawn: {error.args[0]}") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None

@@ -1,0 +1,84 @@
+"""The panels of a surface in space: centers on the local error, on what the setup leaves, and the shape it reaches."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize, to_rgb
+
+from rbfevo.figures import style, surface
+from rbfevo.figures.local_error import local_error
+from rbfevo.figures.panels import Choice, Colors, Row
+from rbfevo.figures.record import Array, Record
+from rbfevo.figures.view import View, view_of
+
+CLAY = "#cfc3b4"
+SIDE = 2.7  # inches
+EXAGGERATED = (
+    0.15  # of the mesh's diagonal: the largest displacement where the true one is unknown or out of proportion
+)
+
+
+def rows(record: Record, choices: list[Choice], opengl: bool) -> list[Row]:
+    """Return the rows of panels for `choices`, by OpenGL or by matplotlib alone."""
+    unit = "local error [model units]" if record.gradient_norm else "local error (unit norm)"
+    scale = record.gradient_norm or 1.0
+    errors = local_error(record.gradient)
+    known = all(choice.reached is not None for choice in choices)
+    left = {
+        choice.index: local_error(record.gradient - choice.reached) for choice in choices if choice.reached is not None
+    }
+    stretch, remark = _stretch(record, errors)
+    shapes = {}
+    if known and record.gradient.shape[1] == 3:
+        shapes = {choice.index: record.vertices + stretch * np.asarray(choice.reached) for choice in choices}
+    centers = [record.centers[choice.index] for choice in choices]
+    diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
+    radius = 0.0125 * diagonal * min(1.0, np.sqrt(25 / record.centers.shape[1]))
+    view = view_of(np.concatenate([record.vertices, *centers, *shapes.values()]), margin=2 * radius)
+    panel = functools.partial(_panel, record, view, radius, surface.render if opengl else surface.project)
+
+    colors = Colors(Normalize(0.0, scale * float(errors.max())), style.ERROR)
+    initial = colors.rgb(scale * errors)
+    made = [Row("initial local error", panel(lambda _: initial), colors, unit)]
+    if known:
+        highest = scale * max(float(error.max()) for error in left.values())
+        colors = Colors(Normalize(0.0, highest or 1.0), style.ERROR)
+        remaining = {index: colors.rgb(scale * error) for index, error in left.items()}
+        made.append(Row("what the setup leaves", panel(lambda choice: remaining[choice.index]), colors, unit))
+    if shapes:
+        clay = np.tile(to_rgb(CLAY), (len(record.vertices), 1))
+        made.append(Row(f"shape within reach{remark}", panel(lambda _: clay, shapes)))
+    return made
+
+
+def _stretch(record: Record, errors: Array) -> tuple[float, str]:
+    """Return the factor from the unit gradient to the displacement shown, and a remark where it is not the true one."""
+    largest, diagonal = float(errors.max()), float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
+    true = record.gradient_norm
+    if true is not None and true * largest <= diagonal:
+        return true, ""
+    return EXAGGERATED * diagonal / largest, "\n(displacement not to scale)"
+
+
+def _panel(
+    record: Record,
+    view: View,
+    radius: float,
+    paint: Callable[..., None],
+    colors: Callable[[Choice], Array],
+    shapes: dict[int, Array] | None = None,
+) -> Callable[[Axes, Choice], None]:
+    def draw(axes: Axes, choice: Choice) -> None:
+        vertices = record.vertices if shapes is None else shapes[choice.index]
+        centers = record.centers[choice.index] if shapes is None else np.empty((0, 3))
+        paint(axes, view, vertices, record.faces, colors(choice), centers, radius)
+        axes.set_xlim(-view.half, view.half)
+        axes.set_ylim(-view.half, view.half)
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+
+    return draw

@@ -1,0 +1,106 @@
+"""One 3-D panel: a coloured surface and its centers, rendered by OpenGL, or by matplotlib where there is none."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgb
+
+from rbfevo.figures import style
+from rbfevo.figures.record import Array
+from rbfevo.figures.view import View, hidden
+
+PIXELS = 640
+GHOST = 0.4  # opacity of centers behind the surface
+
+
+def render(axes: Axes, view: View, vertices: Array, faces: Array, colors: Array, centers: Array, radius: float) -> None:
+    """Show a surface with colours [n, 3] and red balls at `centers` [m, 3], an off-screen rendering by PyVista.
+
+    Balls behind the surface shine through: what they alone would show is blended over the surface.
+
+    Raises:
+        RuntimeError: if the rendering stays empty, as it does with some broken OpenGL drivers.
+    """
+    import pyvista  # VTK starts OpenGL: in this function only, in a process of its own
+
+    plotter = pyvista.Plotter(off_screen=True, window_size=[PIXELS, PIXELS], lighting="none")
+    plotter.background_color = pyvista.Color("white")
+    for tilt, intensity in (
+        (view.towards + 0.5 * view.up - 0.4 * view.right, 0.6),
+        (view.towards + 0.5 * view.right, 0.4),
+    ):
+        plotter.add_light(pyvista.Light(position=tuple(tilt), focal_point=(0, 0, 0), intensity=intensity))
+    plotter.camera.position = tuple(view.focus + 10 * view.half * view.towards)
+    plotter.camera.focal_point = tuple(view.focus)
+    plotter.camera.up = tuple(view.up)
+    plotter.camera.parallel_projection = True
+    plotter.camera.parallel_scale = view.half
+    mesh = pyvista.PolyData.from_regular_faces(vertices, faces) if len(faces) else pyvista.PolyData(vertices)
+    surface = plotter.add_mesh(
+        mesh,
+        scalars=np.round(255 * colors).astype(np.uint8),
+        rgb=True,
+        smooth_shading=bool(len(faces)),
+        ambient=0.45,
+        diffuse=0.62,
+        specular=0.05,
+        point_size=4,
+        show_scalar_bar=False,
+    )
+    plotter.enable_anti_aliasing("ssaa")
+    plotter.reset_camera_clipping_range()
+    bare = _screenshot(plotter)
+    if bare.std() == 0:
+        plotter.close()
+        raise RuntimeError("OpenGL rendered an empty picture")
+    if len(centers):
+        balls: Any = pyvista.PolyData(centers).glyph(geom=pyvista.Sphere(radius=radius), scale=False, orient=False)
+        plotter.add_mesh(balls, color=style.RED, smooth_shading=True, ambient=0.45, diffuse=0.6, specular=0.2)
+        plotter.reset_camera_clipping_range()
+        whole = _screenshot(plotter)
+        surface.SetVisibility(False)
+        alone = _screenshot(plotter)
+        ball = alone[..., 2:] < 0.5  # red, without the rim that blends into the white around it
+        seen = (whole != bare).any(axis=2, keepdims=True)
+        bare = np.where(ball & ~seen, (1 - GHOST) * bare + GHOST * alone, whole)
+    plotter.close()
+    axes.imshow(bare, extent=(-view.half, view.half, -view.half, view.half), interpolation="antialiased")
+
+
+def project(
+    axes: Axes, view: View, vertices: Array, faces: Array, colors: Array, centers: Array, radius: float
+) -> None:
+    """Show the same by matplotlib alone: faces painted from back to front, with the light from the camera's left."""
+    flat, near = view.project(vertices)
+    if len(faces):
+        order = np.argsort(near[faces].mean(axis=1), kind="stable")
+        corners = vertices[faces[order]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+        light = view.towards + 0.6 * view.up - 0.5 * view.right
+        shade = 0.45 + 0.6 * np.abs(normals @ (light / np.linalg.norm(light)))
+        shown = np.clip(colors[faces[order]].mean(axis=1) * shade[:, None], 0, 1)
+        axes.add_collection(
+            PolyCollection(list(flat[faces[order]]), facecolors=shown, edgecolors=shown, linewidths=0.25)
+        )
+        behind = hidden(centers, vertices, faces, view)
+    else:
+        order = np.argsort(near, kind="stable")
+        axes.scatter(*flat[order].T, c=colors[order], s=2, linewidths=0)
+        behind = np.zeros(len(centers), dtype=bool)
+    points_per_unit = axes.bbox.width * 72 / axes.figure.dpi / (2 * view.half)
+    places = view.project(centers)[0]
+    for which, opacity, edge in ((behind, GHOST, "none"), (~behind, 1.0, "white")):
+        color = (*to_rgb(style.RED), opacity)
+        size = (2 * radius * points_per_unit) ** 2
+        axes.scatter(*places[which].T, s=size, facecolor=[color], edgecolor=edge, linewidth=0.4, zorder=3)
+
+
+def _screenshot(plotter) -> Array:
+    """Return what the plotter shows, [PIXELS, PIXELS, 3] in [0, 1]."""
+    plotter.render()
+    return np.asarray(plotter.screenshot(return_img=True), dtype=float)[..., :3] / 255.0

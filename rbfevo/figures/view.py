@@ -1,0 +1,58 @@
+"""The one view that every 3-D panel shares: orthographic, from the front, the same scale everywhere."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rbfevo.figures.record import Array
+
+FRONT = np.array([0.36, 0.20, 1.0])  # towards the camera: +z is the front, +y is up, slightly turned
+UP = np.array([0.0, 1.0, 0.0])
+
+
+class View(NamedTuple):
+    """An orthographic camera: unit vectors right, up and towards it, what it looks at (all [3]), half its side."""
+
+    right: Array
+    up: Array
+    towards: Array
+    focus: Array
+    half: float
+
+    def project(self, points: Array) -> tuple[Array, Array]:
+        """Return where points [q, 3] stand in the picture [q, 2] and how near they are [q], larger being nearer."""
+        moved = points - self.focus
+        return np.stack([moved @ self.right, moved @ self.up], axis=1), moved @ self.towards
+
+
+def view_of(points: Array, margin: float) -> View:
+    """Return the view that shows all of `points` [q, 3] with `margin`, in their unit, around them."""
+    towards = FRONT / np.linalg.norm(FRONT)
+    right = np.cross(UP, towards)
+    right /= np.linalg.norm(right)
+    up = np.cross(towards, right)
+    axes = np.stack([right, up, towards])
+    seen = points @ axes.T
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    half = float((high - low)[:2].max() / 2 + margin)
+    return View(right, up, towards, (low + high) / 2 @ axes, half)
+
+
+def hidden(points: Array, vertices: Array, faces: Array, view: View) -> Array:
+    """Return which of `points` [q, 3] stand behind the surface `vertices` [n, 3], `faces` [f, 3], as [q] bool."""
+    flat, near = view.project(vertices)
+    corners, depths = flat[faces], near[faces]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    behind = np.zeros(len(points), dtype=bool)
+    for i, (place, nearness) in enumerate(zip(*view.project(points), strict=True)):
+        c = place - corners[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):  # a face seen edge-on covers nothing
+            s = (c[:, 0] * b[:, 1] - c[:, 1] * b[:, 0]) / area
+            t = (a[:, 0] * c[:, 1] - a[:, 1] * c[:, 0]) / area
+        over = (s >= 0) & (t >= 0) & (s + t <= 1)
+        height = (1 - s[over] - t[over]) * depths[over, 0] + s[over] * depths[over, 1] + t[over] * depths[over, 2]
+        behind[i] = bool((height > nearness).any())
+    return behind

@@ -1,0 +1,125 @@
+"""Gram matrices of Phi for a population, accumulated over blocks of vertices without ever storing Phi."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import types
+from concurrent.futures import ThreadPoolExecutor
+
+import torch
+from torch import Tensor
+
+from rbfevo.blocks import VertexBlocks, vertex_blocks
+from rbfevo.errors import UserError
+from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
+
+BACKENDS = ("auto", "fused", "eager")
+FUSED_BLOCK = 1024  # m = 25 rows of 1024 float64 are 200 KiB: half of a usual second-level cache
+EAGER_BYTES = {"cpu": 2 << 20, "cuda": 256 << 20}  # scratch of one eager step
+
+
+@functools.cache
+def _fused() -> types.ModuleType | None:
+    """The numba kernels, or None where numba is missing or cannot be used (no place for its cache, say)."""
+    try:
+        return importlib.import_module("rbfevo.fused")
+    except (ImportError, RuntimeError, OSError):
+        return None
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="rbfevo")
+
+
+class GramAccumulator:
+    """Walks over the vertices of one design and accumulates M = (Q g)^T (Q g) for every setup of a population.
+
+    With Q = Phi, M [*pop, m+k, m+k] holds G = Phi^T Phi [m, m], b = Phi^T g [m, k] and g^T g [k, k]. With a lower
+    triangular factor T [*pop, m, m], Q = Phi T^-T, as the further passes of CholeskyQR need it.
+
+    Args:
+        vertices: [n, d]; gradient: [n, k]; weights: [n] (rows of Phi and g count with sqrt(weights)).
+        kernel: phi.
+        backend: `fused` (numba, CPU), `eager` (plain torch, any device), or `auto`: fused where it can run.
+        block: vertices a block, or None for the backend's own choice.
+
+    Raises:
+        UserError: for an unknown backend, or where `fused` is asked for and cannot run.
+    """
+
+    def __init__(
+        self,
+        vertices: Tensor,
+        gradient: Tensor,
+        weights: Tensor,
+        kernel: Kernel,
+        backend: str = "auto",
+        block: int | None = None,
+    ) -> None:
+        if backend not in BACKENDS:
+            raise UserError(f"evaluator={backend}: there is no such evaluator; choose one of {', '.join(BACKENDS)}")
+        code = {Wendland: 0, ThinPlate: 1, Cubic: 2}.get(type(kernel))
+        possible = vertices.device.type == "cpu" and code is not None and _fused() is not None
+        possible = possible and vertices.dtype == torch.float64 and vertices.shape[1] in (2, 3)
+        if backend == "fused" and not possible:
+            raise UserError("evaluator=fused needs numba, the CPU and float64; use evaluator=eager")
+        self.backend = "fused" if possible and backend != "eager" else "eager"
+        self.kernel = kernel
+        self.code = -1 if code is None else code
+        self.size = block or (FUSED_BLOCK if self.backend == "fused" else 4096)
+        self.blocks: VertexBlocks = vertex_blocks(vertices, gradient, weights, self.size)
+
+    def __call__(self, centers: Tensor, factor: Tensor | None = None) -> Tensor:
+        """M [p, m+k, m+k] for finite centers [p, m, d] and, if given, factors T [p, m, m]."""
+        return (self._run_fused if self.backend == "fused" else self._run_eager)(centers.contiguous(), factor)
+
+    def _run_fused(self, centers: Tensor, factor: Tensor | None) -> Tensor:
+        fused = _fused()
+        if fused is None:
+            raise UserError("evaluator=fused needs numba")
+        p, m, _ = centers.shape
+        k = self.blocks.g.shape[0]
+        M = torch.empty(p, m + k, m + k, dtype=centers.dtype)
+        C, out = centers.numpy(), M.numpy()
+        T = torch.empty(0, m, m, dtype=centers.dtype).numpy() if factor is None else factor.contiguous().numpy()
+        b = self.blocks
+        fixed = (b.X.numpy(), b.W.numpy(), b.g.numpy(), b.starts.numpy(), b.low.numpy(), b.high.numpy())
+        support = self.kernel.support or 0.0
+
+        def work(begin: int, end: int) -> None:
+            part = T if factor is None else T[begin:end]
+            fused.gram(C[begin:end], *fixed, self.code, support, part, out[begin:end])
+
+        run_in_slices(work, p)
+        return M
+
+    def _run_eager(self, centers: Tensor, factor: Tensor | None) -> Tensor:
+        p, m, _ = centers.shape
+        b = self.blocks
+        k = b.g.shape[0]
+        M = torch.zeros(p, m + k, m + k, dtype=centers.dtype, device=centers.device)
+        step = max(1, EAGER_BYTES.get(centers.device.type, 2 << 20) // (8 * (m + k) * self.size))
+        starts = b.starts.tolist()
+        for first in range(0, p, step):
+            chunk = slice(first, first + step)
+            for begin, end in zip(starts[:-1], starts[1:], strict=True):
+                rows = self.kernel(distances(centers[chunk], b.X[:, begin:end].T)) * b.W[begin:end]
+                if factor is not None:
+                    rows = torch.linalg.solve_triangular(factor[chunk], rows, upper=False)
+                rows = torch.cat((rows, b.g[:, begin:end].expand(len(rows), -1, -1)), dim=1)
+                M[chunk].baddbmm_(rows, rows.mT)
+        return M
+
+
+def run_in_slices(work, count: int) -> None:
+    """Call work(begin, end) on slices of range(count), on as many threads as torch uses."""
+    threads = torch.get_num_threads()
+    if threads == 1 or count == 1:
+        work(0, count)
+        return
+    step = max(1, -(-count // (4 * threads)))
+    futures = [_pool(threads).submit(work, i, min(i + step, count)) for i in range(0, count, step)]
+    for future in futures:
+        future.result()

@@ -1,0 +1,106 @@
+"""Radial basis functions phi(r) and their slopes phi'(r)/r, as torch modules (paper, section 3)."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from rbfevo.errors import UserError
+
+
+class Kernel(nn.Module):
+    """A radial basis function of the distance.
+
+    `forward(r)` is phi(r), elementwise for distances r >= 0 of any shape; `slope(r)` is phi'(r)/r, which times the
+    difference vector c - x is the gradient of phi(|c - x|) in c. Where that product has the limit 0 at r = 0 although
+    the slope itself has none, `slope(0)` is 0.
+
+    Attributes:
+        name: as on the command line.
+        support: support radius in model units, or None for a kernel that reaches everywhere.
+        positive_definite: whether Psi is positive definite for distinct centers.
+    """
+
+    name: str = ""
+    support: float | None = None
+    positive_definite: bool = False
+
+    def forward(self, r: Tensor) -> Tensor:
+        raise TypeError(f"{type(self).__name__} does not define phi")
+
+    def slope(self, r: Tensor) -> Tensor:
+        """phi'(r)/r for distances r, elementwise."""
+        raise TypeError(f"{type(self).__name__} does not define its slope")
+
+
+class Wendland(Kernel):
+    """Wendland's C2 function (1 - r/s)^4 (4 r/s + 1) for r < s, else 0 (Wendland 2004; positive definite for d <= 3)."""
+
+    name = "wendland"
+    positive_definite = True
+
+    def __init__(self, support: float) -> None:
+        super().__init__()
+        if not (isinstance(support, int | float) and math.isfinite(support) and support > 0):
+            raise UserError(f"kernel.support={support}: the support radius must be a positive number, in model units")
+        self.support = float(support)
+
+    def forward(self, r: Tensor) -> Tensor:
+        q = r / self.support
+        u = (1.0 - q).clamp(min=0.0)
+        return (u * u) ** 2 * (4.0 * q + 1.0).where(u > 0, 0.0)
+
+    def slope(self, r: Tensor) -> Tensor:
+        u = (1.0 - r / self.support).clamp(min=0.0)
+        return (-20.0 / self.support**2) * u**3
+
+
+class ThinPlate(Kernel):
+    """The thin-plate spline r^2 log r, 0 at r = 0: the paper's triharmonic kernel on the plane."""
+
+    name = "triharmonic"
+
+    def forward(self, r: Tensor) -> Tensor:
+        q = r * r
+        return 0.5 * torch.special.xlogy(q, q)
+
+    def slope(self, r: Tensor) -> Tensor:
+        return torch.where(r > 0, 2.0 * torch.log(r) + 1.0, 0.0)
+
+
+class Cubic(Kernel):
+    """The cubic r^3: the paper's triharmonic kernel in space."""
+
+    name = "triharmonic"
+
+    def forward(self, r: Tensor) -> Tensor:
+        return r * r * r
+
+    def slope(self, r: Tensor) -> Tensor:
+        return 3.0 * r
+
+
+def triharmonic(dimension: int) -> Kernel:
+    """The paper's triharmonic kernel: r^2 log r for d = 2, r^3 for d = 3.
+
+    Raises:
+        UserError: for any other dimension.
+    """
+    if dimension == 2:
+        return ThinPlate()
+    if dimension == 3:
+        return Cubic()
+    raise UserError(f"the triharmonic kernel is defined here for 2 and 3 dimensions, not for {dimension}")
+
+
+def distances(a: Tensor, b: Tensor) -> Tensor:
+    """Euclidean distances [*pop, p, q] between points a [*pop, p, d] and b [*pop, q, d], without cancellation.
+
+    The differences are formed before squaring: |a|^2 - 2ab + |b|^2 would lose half of the digits of small distances.
+    """
+    squared = (a[..., :, None, 0] - b[..., None, :, 0]) ** 2
+    for axis in range(1, a.shape[-1]):
+        squared = squared + (a[..., :, None, axis] - b[..., None, :, axis]) ** 2
+    return squared.sqrt()

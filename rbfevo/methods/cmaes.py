@@ -1,0 +1,355 @@
+"""A batch of independent (mu/mu_w, lambda)-CMA-ES with active covariance update, run as one tensor program.
+
+Equation numbers are those of N. Hansen, *The CMA Evolution Strategy: A Tutorial*, arXiv:1604.00772. Three choices are ours:
+
+- y = C^(1/2) z with the symmetric root stands for eq. 39's B D z. The distribution is the same, C^(-1/2) y is z itself, and
+  the root, unlike the eigenvectors, depends continuously on C: a batch and a loop over its elements stay together.
+- Selection is of `parents` among `offspring`: eq. 49 with 2 parents in place of lambda weighs the best `parents` and the
+  worst as many (pycma's rule for CMA_mu); the ranks between have weight 0. For parents = offspring / 2 it is eq. 49.
+- The box is handled by a change of coordinates (`Box`), so that selection, paths and C never see a repaired point.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+
+CONDITION_LIMIT = 1e14  # of C
+STEP_RANGE = (1e-100, 1e100)  # of sigma, so that neither underflow nor overflow makes a NaN
+SCALE_RANGE = (1e-20, 1e20)  # of the largest eigenvalue of C; beyond it the scale moves into sigma
+STALENESS = 0.02  # the share of C's memory, 1 / (c_1 + c_mu) generations, by which its root may lag behind
+
+
+@dataclasses.dataclass(frozen=True)
+class Strategy:
+    """Strategy parameters of one (parents, offspring) setting in one dimension (tutorial, eq. 49-58).
+
+    Attributes:
+        positive, negative: recombination weights of the best and of the worst offspring, best to worst.
+        mu_eff: variance effective selection mass. The rest carry the tutorial's names; chi = E|N(0, I)|.
+    """
+
+    positive: tuple[float, ...]
+    negative: tuple[float, ...]
+    mu_eff: float
+    c_sigma: float
+    d_sigma: float
+    c_c: float
+    c_1: float
+    c_mu: float
+    chi: float
+
+    @staticmethod
+    def default(n: int, parents: int, offspring: int) -> Strategy:
+        """Defaults for dimension `n`; weights of the ranks between the best `parents` and the worst are 0."""
+        raw = [math.log(parents + 0.5) - math.log(i) for i in range(1, 2 * parents + 1)]  # eq. 49
+        best, worst = raw[:parents], raw[parents:][max(0, 2 * parents - offspring) :]
+        mu_eff = sum(best) ** 2 / sum(w * w for w in best)  # eq. 8
+        c_sigma = (mu_eff + 2) / (n + mu_eff + 5)  # eq. 55
+        d_sigma = 1 + 2 * max(0.0, math.sqrt((mu_eff - 1) / (n + 1)) - 1) + c_sigma  # eq. 55
+        c_c = (4 + mu_eff / n) / (n + 4 + 2 * mu_eff / n)  # eq. 56
+        c_1 = 2 / ((n + 1.3) ** 2 + mu_eff)  # eq. 57
+        c_mu = min(1 - c_1, 2 * (0.25 + mu_eff + 1 / mu_eff - 2) / ((n + 2) ** 2 + mu_eff))  # eq. 58
+        negative: tuple[float, ...] = ()
+        if worst:
+            mu_eff_minus = sum(worst) ** 2 / sum(w * w for w in worst)
+            mass = min(
+                1 + c_1 / c_mu,  # eq. 50
+                1 + 2 * mu_eff_minus / (mu_eff + 2),  # eq. 51
+                (1 - c_1 - c_mu) / (n * c_mu),  # eq. 52
+            )
+            negative = tuple(-mass * w / sum(worst) for w in worst)  # eq. 53
+        return Strategy(
+            positive=tuple(w / sum(best) for w in best),  # eq. 53
+            negative=negative,
+            mu_eff=mu_eff,
+            c_sigma=c_sigma,
+            d_sigma=d_sigma,
+            c_c=c_c,
+            c_1=c_1,
+            c_mu=c_mu,
+            chi=math.sqrt(2) * math.exp(math.lgamma((n + 1) / 2) - math.lgamma(n / 2)),
+        )
+
+
+class Box:
+    """Search coordinates u [..., D], free on all of R^D, and the points x [..., D] of a box that they stand for.
+
+    A side with two finite bounds is scaled to [0, 1]. Then u is x itself up to a margin M of each bound, bends into the bound
+    as a parabola that touches it at M outside, and is mirrored there: once continuously differentiable everywhere. An
+    objective that pushes linearly against a bound becomes a smooth bowl in u, which reflection (a kink) or clipping (a plateau)
+    would not give; inside and without bounds nothing changes at all. The idea is that of pycma's BoundTransform; the margin
+    here is 5% of the side (`sigma` where the other side is open), which keeps translations and scalings of the box invariant.
+    """
+
+    MARGIN = 0.05
+
+    def __init__(self, lower: Tensor, upper: Tensor, sigma: float) -> None:
+        below, above = lower.isfinite(), upper.isfinite()
+        zero, inf = torch.zeros_like(lower), torch.full_like(lower, math.inf)
+        self.lower, self.upper, self.closed = lower, upper, below & above
+        self.bounded = bool((below | above).any())
+        self.scale = torch.where(self.closed, upper - lower, 1.0)
+        self.offset = torch.where(below, lower, torch.where(above, upper, 0.0))
+        self.low = torch.where(below, zero, -inf)
+        self.high = torch.where(self.closed, 1.0, torch.where(above, zero, inf))
+        self.margin = torch.where(self.closed, self.MARGIN, sigma)
+        self.left, self.right = self.low - self.margin, self.high + self.margin  # where u is mirrored
+        self.period = torch.where(self.closed, 2 * (self.right - self.left), 1.0)
+
+    def to_box(self, u: Tensor) -> Tensor:
+        """Points of the box for search coordinates."""
+        if not self.bounded:
+            return u
+        turns = torch.where(self.closed, ((u - 0.5) / self.period).round(), 0.0)
+        u = u - turns * self.period
+        u = torch.where(u < self.left, 2 * self.left - u, u)
+        u = torch.where(u > self.right, 2 * self.right - u, u)
+        x = torch.where(u < self.low + self.margin, self.low + (u - self.left) ** 2 / (4 * self.margin), u)
+        x = torch.where(u > self.high - self.margin, self.high - (self.right - u) ** 2 / (4 * self.margin), x)
+        return (self.offset + self.scale * x).clamp(self.lower, self.upper)
+
+    def to_search(self, x: Tensor) -> Tensor:
+        """Search coordinates of points of the box, between the mirrors; the inverse of `to_box` there."""
+        if not self.bounded:
+            return x
+        x = (x - self.offset) / self.scale
+        from_low, from_high = (x - self.low).clamp(min=0), (self.high - x).clamp(min=0)
+        u = torch.where(from_low < self.margin, self.left + 2 * (self.margin * from_low).sqrt(), x)
+        return torch.where(from_high < self.margin, self.right - 2 * (self.margin * from_high).sqrt(), u)
+
+
+class CMAES:
+    """B independent CMA-ES that MAXIMIZE, in a box, with shared settings and one random generator each.
+
+    Everything is float64, on the device of `mean`. `ask` and `tell` alternate. Bounds may be infinite, one by one. An element
+    whose offspring all tie (or are all NaN) keeps its distribution and samples it again: a constant objective and a converged
+    element stay where they are. An element whose covariance is not finite restarts from C = I at its mean. A side of the box
+    bounds the standard deviation along it: max(1/3, sigma) of the side.
+
+    Args:
+        mean: [B, D] where to start, inside the box.
+        sigma: first standard deviation, as a share of each side of the box (absolute along sides with an infinite bound).
+        lower, upper: [D] bounds, in the unit of `mean`.
+        generators: B generators; element b draws its offspring x D normals of a generation in one call from the b-th.
+        parents, offspring: mu and lambda.
+
+    Attributes:
+        best: [B, D] the best point told so far (the start until one is); best_fitness: [B] its fitness (-inf until then).
+        sigma: [B] step sizes, in the unit of the argument.
+        generation: number of `tell`s.
+
+    Raises:
+        UserError: parents > offspring, parents < 1, offspring < 2, sigma <= 0, an empty box, a mean outside it, wrong shapes.
+    """
+
+    def __init__(
+        self,
+        mean: Tensor,
+        sigma: float,
+        lower: Tensor,
+        upper: Tensor,
+        *,
+        generators: Sequence[torch.Generator],
+        parents: int = 25,
+        offspring: int = 100,
+    ) -> None:
+        mean, lower, upper = (t.detach().to(mean.device, torch.float64) for t in (mean, lower, upper))
+        _check(mean, sigma, lower, upper, len(generators), parents, offspring)
+        B, D = mean.shape
+        self.strategy = s = Strategy.default(D, parents, offspring)
+        self.box = Box(lower, upper, sigma)
+        self.generation = 0
+        self.best, self.best_fitness = mean.clone(), mean.new_full((B,), -math.inf)
+        self.sigma = mean.new_full((B,), float(sigma))
+        self._generators, self._offspring, self._start_sigma = list(generators), offspring, float(sigma)
+        self._m = self.box.to_search(mean).clone()
+        self._p_sigma, self._p_c = torch.zeros_like(mean), torch.zeros_like(mean)
+        self._C = torch.eye(D, dtype=mean.dtype, device=mean.device).repeat(B, 1, 1)
+        self._root = self._C.clone()
+        self._z: Tensor | None = None
+        self._x: Tensor | None = None
+        self._positive, self._negative = mean.new_tensor(s.positive), mean.new_tensor(s.negative)
+        weighed = [*range(parents), *range(offspring - len(s.negative), offspring)]
+        self._weighed = torch.tensor(weighed, device=mean.device)
+        self._widest = torch.where(self.box.closed, max(1 / 3, float(sigma)), math.inf)
+        # The tutorial (B.2) waits 1 / (10 n (c_1 + c_mu)) generations to amortize n^3 flops. What bounds the wait from above
+        # is that C must not change much meanwhile, so it is a share of C's memory whatever n: at (25, 100) every generation
+        # to n = 49, every 2nd at 50, every 4th at 75, for which the ellipsoid and Rosenbrock paid at most 0.6% in evaluations
+        # (0.05: 3%).
+        self._wait = max(1, int(STALENESS / (s.c_1 + s.c_mu)))
+
+    @property
+    def mean(self) -> Tensor:
+        """[B, D] the means of the search distributions, as points of the box."""
+        return self.box.to_box(self._m)
+
+    def ask(self) -> Tensor:
+        """Draw the offspring of this generation: [B, lambda, D], inside the box (eq. 38-40).
+
+        Asking again before `tell` draws anew.
+        """
+        B, D = self._m.shape
+        z = self._m.new_empty(B, self._offspring, D)
+        for b, generator in enumerate(self._generators):
+            if generator.device == z.device:
+                z[b].normal_(generator=generator)  # eq. 38
+            else:
+                z[b] = torch.empty(z.shape[1:], dtype=z.dtype, device=generator.device).normal_(generator=generator)
+        y = z @ self._root  # eq. 39
+        self._z, self._x = z, self.box.to_box(self._m[:, None] + self.sigma[:, None, None] * y)  # eq. 40
+        return self._x.clone()
+
+    def tell(self, fitness: Tensor) -> None:
+        """Update every element from the fitness [B, lambda] of the last `ask`; maximized, NaN counts as worst.
+
+        Ties keep the order of the offspring.
+
+        Raises:
+            UserError: without an `ask` before it, or for another shape.
+        """
+        if self._z is None or self._x is None:
+            raise UserError("CMAES.tell: there are no offspring to tell of; call ask() first")
+        if fitness.shape != self._z.shape[:2]:
+            expected, given = list(self._z.shape[:2]), list(fitness.shape)
+            raise UserError(f"CMAES.tell: fitness must be [elements, offspring] = {expected}, not {given}")
+        s, n = self.strategy, self._m.shape[1]
+        f = fitness.detach().to(self._m)
+        f = torch.where(f.isnan(), -math.inf, f)
+        order = f.argsort(dim=1, descending=True, stable=True)
+        self._keep_best(f, self._x, order[:, :1])
+
+        z = self._z.take_along_dim(order[:, self._weighed, None], 1)  # the weighed offspring, best to worst
+        y = z @ self._root
+        mu = len(s.positive)
+        y_w, z_w = self._positive @ y[:, :mu], self._positive @ z[:, :mu]  # eq. 41; z_w = C^(-1/2) y_w
+        m = self._m + self.sigma[:, None] * y_w  # eq. 42, c_m = 1 (eq. 54)
+        gain = math.sqrt(s.c_sigma * (2 - s.c_sigma) * s.mu_eff)
+        p_sigma = (1 - s.c_sigma) * self._p_sigma + gain * z_w  # eq. 43
+        length = p_sigma.square().sum(1).sqrt()
+        change = s.c_sigma / s.d_sigma * (length / s.chi - 1)
+        sigma = (self.sigma * change.clamp(max=1).exp()).clamp(*STEP_RANGE)  # eq. 44, by no more than e at once
+
+        unbiased = math.sqrt(1 - (1 - s.c_sigma) ** (2 * (self.generation + 1)))
+        h = (length / unbiased < (1.4 + 2 / (n + 1)) * s.chi).to(m)[:, None]
+        p_c = (1 - s.c_c) * self._p_c + h * math.sqrt(s.c_c * (2 - s.c_c) * s.mu_eff) * y_w  # eq. 45
+        negative = self._negative * n / z[:, mu:].square().sum(2).clamp(min=1e-300)  # eq. 46: |C^(-1/2) y|^2 = |z|^2
+        w = torch.cat([self._positive.expand(len(m), mu), negative], 1)
+        total = sum(s.positive) + sum(s.negative)
+        delta = (1 - h) * s.c_c * (2 - s.c_c)
+        keep = 1 + s.c_1 * delta - s.c_1 - s.c_mu * total
+        rank_mu = (w[..., None] * y).mT @ y
+        C = keep[..., None] * self._C + s.c_1 * p_c[..., None] * p_c[:, None] + s.c_mu * rank_mu  # eq. 47
+
+        told = (f.amax(1) > f.amin(1))[:, None]  # else there is nothing to learn from
+        self._m, self._p_c = torch.where(told, m, self._m), torch.where(told, p_c, self._p_c)
+        self._p_sigma = torch.where(told, p_sigma, self._p_sigma)
+        self.sigma = torch.where(told[:, 0], sigma, self.sigma)
+        self._C = torch.where(told[..., None], C, self._C)
+        self._z = self._x = None
+        self.generation += 1
+        if self.generation % self._wait == 0:
+            self._decompose()
+
+    def _keep_best(self, f: Tensor, x: Tensor, first: Tensor) -> None:
+        top = f.take_along_dim(first, 1)[:, 0]
+        better = top > self.best_fitness
+        self.best = torch.where(better[:, None], x.take_along_dim(first[..., None], 1)[:, 0], self.best)
+        self.best_fitness = torch.where(better, top, self.best_fitness)
+
+    def _decompose(self) -> None:
+        """Bring C^(1/2) up to date, and keep C, element by element, finite, well enough conditioned and inside the box."""
+        C = (self._C + self._C.mT) / 2
+        # No standard deviation above the widest: first by sigma, as far as every coordinate asks for it, then by C.
+        room = self._widest / (self.sigma[:, None] * C.diagonal(dim1=1, dim2=2).clamp(min=0).sqrt())
+        common = room.amax(1, keepdim=True).clamp(max=1)
+        shrink = (room / common).clamp(max=1)
+        C = shrink[:, :, None] * C * shrink[:, None, :]
+        sigma, p_c = self.sigma * common[:, 0], self._p_c * shrink
+
+        sound = C.isfinite().flatten(1).all(1)[:, None]  # eigh raises for a whole batch on one NaN
+        C = torch.where(sound[..., None], C, torch.eye(C.shape[1], dtype=C.dtype, device=C.device))
+        values, vectors = _eigh(C)
+        top = values[:, -1:]
+        sound = sound & (top > 0)
+        limited = torch.where(sound, torch.maximum(values, top / CONDITION_LIMIT), 1.0)
+        scale = torch.where(sound & ((top < SCALE_RANGE[0]) | (top > SCALE_RANGE[1])), top, 1.0)
+        rebuilt = (vectors * limited[:, None]) @ vectors.mT
+        C = torch.where((limited == values).all(1)[:, None, None], C, rebuilt) / scale[..., None]
+
+        self._C, self._root = C, (vectors * (limited / scale).sqrt()[:, None]) @ vectors.mT
+        self._p_c = torch.where(sound, p_c / scale.sqrt(), 0.0)
+        self._p_sigma = torch.where(sound, self._p_sigma, 0.0)
+        sigma = torch.where(sigma.isfinite(), sigma * scale[:, 0].sqrt(), self._start_sigma)
+        self.sigma = sigma.clamp(*STEP_RANGE)
+
+    _STATE = ("_m", "sigma", "_C", "_root", "_p_sigma", "_p_c", "best", "best_fitness", "_z", "_x")
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that changes, as plain tensors (copies) and numbers, the generators' states among them."""
+        state: dict[str, Any] = {"generation": self.generation}
+        for name in self._STATE:
+            value = getattr(self, name)
+            state[name.removeprefix("_")] = None if value is None else value.clone()
+        state["generators"] = [generator.get_state() for generator in self._generators]
+        return state
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue, bit for bit, where `state_dict` was taken by a CMAES of the same settings.
+
+        Raises:
+            UserError: if the state does not fit.
+        """
+        expected = {"generation", "generators"} | {name.removeprefix("_") for name in self._STATE}
+        if set(state) != expected or len(state["generators"]) != len(self._generators):
+            raise UserError("CMAES.load_state_dict: this is not the state of a CMAES of as many elements; check the checkpoint")
+        shapes = {"z": (*self._m.shape[:1], self._offspring, self._m.shape[1])}
+        shapes["x"] = shapes["z"]
+        for name in self._STATE:
+            value, key = state[name.removeprefix("_")], name.removeprefix("_")
+            shape = shapes.get(key) or tuple(getattr(self, name).shape)
+            if value is not None and tuple(value.shape) != shape:
+                raise UserError(f"CMAES.load_state_dict: {key} has shape {list(value.shape)}, the settings ask for {list(shape)}")
+            setattr(self, name, None if value is None else value.to(self._m).clone())
+        self.generation = int(state["generation"])
+        for generator, saved in zip(self._generators, state["generators"], strict=True):
+            generator.set_state(saved.cpu())
+
+
+def _eigh(C: Tensor) -> tuple[Tensor, Tensor]:
+    """Eigenvalues [B, D], ascending, and eigenvectors [B, D, D]; zeros and I for an element where LAPACK fails."""
+    try:
+        return torch.linalg.eigh(C)
+    except torch.linalg.LinAlgError:
+        if len(C) == 1:
+            return C.new_zeros(C.shape[:2]), torch.eye(C.shape[1], dtype=C.dtype, device=C.device).expand_as(C)
+        values, vectors = zip(*(_eigh(single[None]) for single in C), strict=True)
+        return torch.cat(values), torch.cat(vectors)
+
+
+def _check(
+    mean: Tensor, sigma: float, lower: Tensor, upper: Tensor, generators: int, parents: int, offspring: int
+) -> None:
+    """Raise UserError for the first setting that is wrong."""
+    if offspring < 2:
+        raise UserError(f"CMA-ES: offspring must be at least 2, not {offspring}")
+    if not 1 <= parents <= offspring:
+        raise UserError(f"CMA-ES: parents must be between 1 and offspring = {offspring}, not {parents}")
+    if not (sigma > 0 and math.isfinite(sigma)):
+        raise UserError(f"CMA-ES: sigma must be a positive number, not {sigma}")
+    if mean.ndim != 2 or mean.shape[1] < 1 or lower.shape != mean.shape[1:] or upper.shape != mean.shape[1:]:
+        given = f"{list(mean.shape)}, {list(lower.shape)} and {list(upper.shape)}"
+        raise UserError(f"CMA-ES: mean must be [B, D], lower and upper [D], not {given}")
+    if len(mean) != generators:
+        raise UserError(f"CMA-ES: {len(mean)} means need as many generators, not {generators}")
+    if not bool((lower < upper).all()):
+        raise UserError("CMA-ES: every lower bound must be below its upper bound")
+    if not bool((mean.isfinite() & (mean >= lower) & (mean <= upper)).all()):
+        raise UserError("CMA-ES: every mean must be finite and inside the box; move it or widen the box")

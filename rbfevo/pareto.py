@@ -1,0 +1,167 @@
+"""Pareto dominance: ranks, crowding distance, hypervolume and knee; every objective is maximized, NaN is worst."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+
+
+def ranks(objectives: Tensor, enough: int | None = None) -> Tensor:
+    """Nondominated sorting: the number of fronts to peel off before each row is nondominated.
+
+    Fast path for two objectives: one sort, then O(n) a front. Otherwise the n x n dominance matrix is built.
+
+    Args:
+        objectives: [n, M], maximized. Rows with a NaN share one rank behind all other rows (0 if there are no others).
+        enough: stop once this many rows are ranked; the rows then left share the next rank. None ranks every row.
+
+    Returns:
+        [n] int64, 0 for the nondominated rows; duplicates share a rank.
+
+    Source: Deb et al. 2002, "A fast and elitist multiobjective genetic algorithm: NSGA-II", section III A.
+    """
+    failed = objectives.isnan().any(dim=1)
+    enough = len(objectives) if enough is None else enough
+    peel = _ranks_of_two if objectives.shape[1] == 2 else _ranks_of_many
+    return peel(objectives, failed, enough)
+
+
+def _ranks_of_two(objectives: Tensor, failed: Tensor, enough: int) -> Tensor:
+    n = len(objectives)
+    f, g = objectives.masked_fill(failed[:, None], -math.inf).unbind(dim=1)
+    # Walk by f, then g, best first: only rows met earlier can dominate a row, and duplicates are neighbours.
+    order = g.argsort(descending=True, stable=True)
+    order = order[f[order].argsort(descending=True, stable=True)]
+    f, g = f[order], g[order]
+    # Place of each row by g, then f. A row is dominated where an earlier one has a smaller place; duplicates share one.
+    by_g = g.argsort(descending=True, stable=True)
+    distinct = torch.ones_like(by_g)
+    distinct[1:] = (f[1:] != f[:-1]) | (g[1:] != g[:-1])
+    place = torch.empty_like(by_g).scatter_(0, by_g, distinct[by_g].cumsum(0))
+
+    peeled = n + 1  # behind every place
+    place.masked_fill_(failed[order], peeled)
+    left = n - int(failed.sum())
+    stop = max(left - enough, 0)
+    rank, fronts = torch.zeros_like(place), 0
+    while left > stop:
+        place.masked_fill_(place == place.cummin(0).values, peeled)
+        waiting = place < peeled
+        rank += waiting
+        fronts += 1
+        left = int(waiting.sum())
+    rank.masked_fill_(failed[order], fronts)
+    return torch.empty_like(rank).scatter_(0, order, rank)
+
+
+def _ranks_of_many(objectives: Tensor, failed: Tensor, enough: int) -> Tensor:
+    n = len(objectives)
+    as_good = torch.ones(n, n, dtype=torch.bool, device=objectives.device)
+    for f in objectives.unbind(dim=1):
+        as_good &= f[:, None] >= f[None, :]
+    dominates = as_good & ~as_good.T  # all False for a NaN row
+    dominators = dominates.sum(dim=0)
+    waiting = ~failed
+    rank, fronts = torch.zeros(n, dtype=torch.int64, device=objectives.device), 0
+    left = int(waiting.sum())
+    stop = max(left - enough, 0)
+    while left > stop:
+        front = waiting & (dominators == 0)
+        waiting = waiting & ~front
+        dominators -= dominates[front].sum(dim=0)
+        rank += waiting
+        fronts += 1
+        left = int(waiting.sum())
+    return rank.masked_fill_(failed, fronts)
+
+
+def crowding(objectives: Tensor, ranks: Tensor) -> Tensor:
+    """Crowding distance within each front: the gaps between a row's neighbours, over the front's spread, summed.
+
+    Duplicates are ordered by row, so of many copies the middle ones have distance 0. An objective without (finite)
+    spread in a front adds nothing there and has no ends.
+
+    Args:
+        objectives: [n, M]. Rows with a NaN have distance 0.
+        ranks: [n] integers; rows with the same rank are one front.
+
+    Returns:
+        [n], larger is less crowded; +inf at both ends of each objective of each front, and in fronts of one or two.
+
+    Source: Deb et al. 2002, section III B.
+    """
+    values = objectives.T
+    order = values.argsort(dim=1, descending=True, stable=True)
+    order = order.gather(1, ranks[order].argsort(dim=1, stable=True))  # front by front, best first
+    values = values.gather(1, order)
+    rank = ranks[order[0]]  # sorted, and the same for every objective
+    first = torch.searchsorted(rank, rank)
+    last = torch.searchsorted(rank, rank, right=True) - 1
+    spread = values[:, first] - values[:, last]
+    place = torch.arange(len(rank), device=rank.device)
+    gaps = (values.roll(1, dims=1) - values.roll(-1, dims=1)) / spread
+    gaps.masked_fill_((place == first) | (place == last), math.inf)
+    gaps.masked_fill_(~((spread > 0) & (spread < math.inf)), 0.0)
+    gaps.masked_fill_(last - first < 2, math.inf)
+    distance = torch.empty_like(gaps).scatter_(1, order, gaps).sum(dim=0)
+    return distance.masked_fill_(objectives.isnan().any(dim=1), 0.0)
+
+
+def nondominated(objectives: Tensor) -> Tensor:
+    """Which rows no other row dominates.
+
+    Args:
+        objectives: [n, M], maximized.
+
+    Returns:
+        [n] bool; every duplicate of a nondominated row is nondominated, a row with a NaN never is.
+    """
+    return (ranks(objectives, enough=1) == 0) & ~objectives.isnan().any(dim=1)
+
+
+def hypervolume(objectives: Tensor, reference: tuple[float, float] = (0.0, 0.0)) -> float:
+    """Area that the rows dominate above the reference point.
+
+    Args:
+        objectives: [n, 2], maximized. Rows with a NaN, and rows not above the reference in both, add nothing.
+        reference: the point from which the area is measured.
+
+    Returns:
+        The area: 0 where no row is above the reference, +inf where such a row is infinite.
+    """
+    above = objectives - objectives.new_tensor(reference)
+    above = above[(above > 0).all(dim=1)]
+    if bool(above.isinf().any()):
+        return math.inf
+    f, order = above[:, 0].sort(descending=True)
+    height = above[order, 1]
+    height = height.cummax(0).values if len(height) else height
+    width = f - torch.cat([f[1:], f.new_zeros(min(len(f), 1))])
+    return float((width * height).sum())
+
+
+def knee(objectives: Tensor) -> int:
+    """Row of the knee: the nondominated row farthest from the chord between the front's two ends.
+
+    Both axes are scaled to [0, 1] over the front first; the distance counts on either side of the chord. Equal
+    distances (within 1e-12) go to the lowest row: so do a front of one point, its duplicates, and a front of two.
+
+    Args:
+        objectives: [n, 2], maximized. Rows that are not finite are left out.
+
+    Raises:
+        UserError: no row is finite.
+    """
+    finite = objectives.isfinite().all(dim=1)
+    if not bool(finite.any()):
+        raise UserError("there is no knee: no setup has finite objectives; check the scores of the setups")
+    rows = finite.nonzero().squeeze(1)
+    rows = rows[nondominated(objectives[rows])]
+    front = objectives[rows]
+    low = front.amin(dim=0)
+    spread = front.amax(dim=0) - low
+    scaled = (front - low) / spread.where(spread > 0, 1.0)
+    distance = (scaled.sum(dim=1) - 1.0).abs()  # from the chord (0, 1) - (1, 0), times sqrt(2)
+    return int(rows[(distance >= distance.max() - 1e-12).nonzero()[0, 0]])

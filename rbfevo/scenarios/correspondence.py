@@ -1,0 +1,91 @@
+"""Pair every vertex of the design with a point of the scan, and reject the pairs that mean nothing, as ICP does."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+Points = NDArray[np.float64]
+Triangles = NDArray[np.int64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_TOUCHING = 1e-9  # of the scan's size: closest points on an edge are that exact
+_NEIGHBOURS = 24
+_WIDEST_GAP = np.deg2rad(120.0)
+_SIDEWAYS = 0.5
+
+
+def closest_on_surface(points: Points, vertices: Points, triangles: Triangles) -> tuple[Points, Indices]:
+    """Find the closest point [p, 3] on the surface (vertices [n, 3], triangles [f, 3]) to each of points [p, 3].
+
+    Returned with it is the triangle [p] it lies in; where several meet, any of them.
+    """
+    import pyvista
+
+    surface = pyvista.PolyData.from_regular_faces(vertices, triangles)
+    triangle, closest = surface.find_closest_cell(points, return_closest_point=True)
+    return np.asarray(closest, np.float64), np.asarray(triangle, np.int64)
+
+
+def on_open_boundary(closest: Points, triangle: Indices, vertices: Points, triangles: Triangles) -> Mask:
+    """Tell which points `closest` [p, 3], each in its `triangle` [p], lie on an edge or vertex of the open boundary.
+
+    Boundary edges are those of one triangle only. Pairs that end there are rejected after Turk and Levoy (1994),
+    "Zippered polygon meshes from range images".
+    """
+    corners = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, edge, uses = np.unique(np.sort(corners, axis=1), axis=0, return_inverse=True, return_counts=True)
+    open_edge = (uses == 1)[edge].reshape(-1, 3)
+    open_vertex = np.zeros(len(vertices), bool)
+    open_vertex[edges[uses == 1]] = True
+
+    tolerance = _TOUCHING * float(np.ptp(vertices, axis=0).max())
+    rim = np.zeros(len(closest), bool)
+    for k in range(3):
+        start, end = triangles[triangle, k], triangles[triangle, (k + 1) % 3]
+        a, along = vertices[start], vertices[end] - vertices[start]
+        length = (along**2).sum(axis=1)
+        t = (((closest - a) * along).sum(axis=1) / np.where(length > 0.0, length, 1.0)).clip(0.0, 1.0)
+        rim |= open_edge[triangle, k] & (np.linalg.norm(closest - a - t[:, None] * along, axis=1) <= tolerance)
+        rim |= open_vertex[start] & (np.linalg.norm(closest - a, axis=1) <= tolerance)
+    return rim
+
+
+def from_behind(points: Points, triangle: Indices, outward: Points, vertices: Points, triangles: Triangles) -> Mask:
+    """Tell which of points [p, 3], with normals `outward` [p, 3], are paired with the inner side of the surface.
+
+    Outer is the side that most of the pairs see: a scan may be turned inside out as a whole.
+    """
+    a, b, c = np.moveaxis(vertices[triangles[triangle]], 1, 0)
+    agreement = (np.cross(b - a, c - a) * outward).sum(axis=1)
+    return agreement < 0.0 if (agreement < 0.0).sum() <= len(points) / 2 else agreement > 0.0
+
+
+def closest_in_cloud(points: Points, cloud: Points) -> tuple[Points, Indices]:
+    """Find the closest point [p, 3] of `cloud` [n, 3] to each of points [p, 3], and its index [p]."""
+    _, index = cKDTree(cloud).query(points)
+    return cloud[index], np.asarray(index, np.int64)
+
+
+def beyond_rim(points: Points, index: Indices, cloud: Points) -> Mask:
+    """Tell which of points [p, 3] reach out beyond the rim of the cloud [n, 3] of which `index` [p] is the closest.
+
+    The counterpart of `on_open_boundary` where no surface is known. A cloud's point is on the rim if, among its 24
+    nearest neighbours seen in their own plane, no one lies within some 120 degrees. A pair that ends there is
+    rejected if it leaves the point sideways, within that plane, by more than half the mean distance of the neighbours.
+    """
+    ends, pair = np.unique(index, return_inverse=True)
+    distance, near = cKDTree(cloud).query(cloud[ends], k=min(_NEIGHBOURS, len(cloud) - 1) + 1)
+    around = cloud[near[:, 1:]] - cloud[ends][:, None]
+    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
+    normal, plane = axes[:, :, 0], axes[:, :, 1:]
+    flat = around @ plane
+    angle = np.sort(np.arctan2(flat[:, :, 1], flat[:, :, 0]), axis=1)
+    gap = np.diff(angle, axis=1, append=angle[:, :1] + 2.0 * np.pi).max(axis=1)
+    spacing = distance[:, 1:].mean(axis=1)
+
+    leaving = points - cloud[index]
+    sideways = leaving - (leaving * normal[pair]).sum(axis=1, keepdims=True) * normal[pair]
+    return (gap > _WIDEST_GAP)[pair] & (np.linalg.norm(sideways, axis=1) > _SIDEWAYS * spacing[pair])

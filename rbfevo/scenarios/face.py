@@ -1,0 +1,143 @@
+"""The sphere and the face: the paper's template fitting scenario (section 5.2)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.scenarios import correspondence, placement
+from rbfevo.scenarios.scenario import Scenario, unit_gradient
+from rbfevo.scenarios.surfaces import read_surface
+
+REJECTIONS = ("boundary", "none")
+
+
+def face(
+    subdivisions: int = 5,
+    scan: str | Path | None = None,
+    up: str | None = None,
+    front: str | None = None,
+    reject: str = "boundary",
+    support: float = 1.0,
+) -> Scenario:
+    """Build the unit sphere that is to become a face: the built-in one, or the user's own `scan`.
+
+    The design is an icosphere of 10 * 4^subdivisions + 2 vertices. The scan is turned so that its axis `up` is +y and
+    its axis `front` is +z, and fitted into the box [-1,1]^3 (`placement.fit_box`). Defaults are up y and front z for
+    a scan; the built-in one brings its own. Row i of the gradient [n, 3] is the displacement of vertex i to the
+    closest point on the scan's surface, or to the closest point of a cloud, zero where the pair is rejected.
+
+    Args:
+        subdivisions: of the icosphere, 1 to 8; 5 gives 10,242 vertices.
+        scan: a file as `read_surface` takes it; none is the front half of the scalp surface of an average MRI head.
+        up, front: axes of the scan, such as "y", "-z".
+        reject: "boundary" rejects pairs that end on the scan's open boundary, or reach beyond a cloud's rim; "none".
+        support: default support radius of compact kernels, in radii of the sphere.
+
+    Raises:
+        UserError: on a setting out of range, an unusable scan, or if every pair is rejected.
+    """
+    if isinstance(subdivisions, bool) or not isinstance(subdivisions, int) or not 1 <= subdivisions <= 8:
+        raise UserError(f"subdivisions must be a whole number from 1 to 8, not {subdivisions}")
+    if reject not in REJECTIONS:
+        raise UserError(f"reject must be one of {', '.join(REJECTIONS)}, not {reject!r}")
+
+    if scan is None:
+        vertices, triangles = average_face()
+        up, front = up or "z", front or "y"
+        notes = {"scan": "built-in: front half of fsaverage, the scalp surface of an average MRI head (no real person)"}
+    else:
+        vertices, triangles = read_surface(scan)
+        up, front = up or "y", front or "z"
+        notes = {"scan": str(scan)}
+    vertices, triangles = placement.merge_coincident(placement.turn(vertices, up, front), triangles)
+    vertices, triangles, strays = placement.drop_strays(vertices, triangles)
+    if triangles is not None and len(triangles) == 0:
+        raise UserError(f"{notes['scan']}: no triangle is left once coincident vertices are merged")
+    vertices, scale = placement.fit_box(vertices)
+    kind = "a cloud" if triangles is None else f"{len(triangles)} triangles"
+    notes["scan size"] = f"{len(vertices)} distinct vertices, {kind}; {strays} stray vertices dropped"
+    notes["scan frame"] = f"up {up} -> +y, front {front} -> +z, times {scale:.6g}, front at z = 1"
+
+    sphere, faces = _icosphere(subdivisions)
+    displacement, rejected, facts = _displacements(sphere, vertices, triangles, reject)
+    notes |= facts
+    if rejected.all():
+        raise UserError(f"{notes['scan']}: every pair of sphere and scan is rejected; check up and front, or reject=none")
+
+    weights = torch.ones(len(sphere), dtype=torch.float64)
+    gradient, norm = unit_gradient(torch.from_numpy(displacement), weights)
+    return Scenario(
+        name="face",
+        vertices=torch.from_numpy(sphere),
+        faces=torch.from_numpy(faces),
+        gradient=gradient,
+        weights=weights,
+        lower=-torch.ones(3, dtype=torch.float64),
+        upper=torch.ones(3, dtype=torch.float64),
+        support=support,
+        sample=_sample_sphere,
+        gradient_norm=norm,
+        notes=notes,
+    )
+
+
+def average_face() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return vertices [n, 3] (metres, face towards +y, up +z) and triangles [f, 3] of the built-in face.
+
+    It is the scalp surface of FreeSurfer's average MRI head, `fsaverage-head.fif` of the `mne` package, cut at the
+    plane y = 0 of its own coordinates: the half with y > 0 stays, from crown to chin, open behind.
+    """
+    import mne
+    import pyvista
+
+    path = Path(mne.__file__).parent / "data" / "fsaverage" / "fsaverage-head.fif"
+    (head,) = mne.read_bem_surfaces(path, verbose="error")
+    surface = pyvista.PolyData.from_regular_faces(np.asarray(head["rr"], np.float64), np.asarray(head["tris"], np.int64))
+    half = surface.clip("y", origin=(0.0, 0.0, 0.0), invert=False).triangulate()
+    return np.asarray(half.points, np.float64), np.asarray(half.regular_faces, np.int64)
+
+
+def _icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    import trimesh
+
+    sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
+    return np.array(sphere.vertices, np.float64), np.array(sphere.faces, np.int64)
+
+
+def _displacements(
+    sphere: NDArray[np.float64],
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int64] | None,
+    reject: str,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], dict[str, str]]:
+    """Pair the sphere's vertices [n, 3] with the scan; return displacements [n, 3], the rejected [n], and notes."""
+    rejected = np.zeros(len(sphere), bool)
+    facts = {}
+    if triangles is None:
+        closest, index = correspondence.closest_in_cloud(sphere, vertices)
+        if reject == "boundary":
+            rejected = correspondence.beyond_rim(sphere, index, vertices)
+    else:
+        closest, triangle = correspondence.closest_on_surface(sphere, vertices, triangles)
+        if reject == "boundary":
+            rejected = correspondence.on_open_boundary(closest, triangle, vertices, triangles)
+    displacement = np.where(rejected[:, None], 0.0, closest - sphere)
+    facts["rejected"] = f"{int(rejected.sum())} of {len(sphere)} vertices stay (reject={reject})"
+    if triangles is not None and not rejected.all():
+        kept = np.flatnonzero(~rejected)
+        behind = correspondence.from_behind(sphere[kept], triangle[kept], sphere[kept], vertices, triangles)
+        share = (displacement[kept[behind]] ** 2).sum() / max((displacement**2).sum(), np.finfo(float).tiny)
+        facts["from behind"] = f"{int(behind.sum())} vertices reach the scan's inner side ({100.0 * share:.1f}% of |g|^2)"
+    return displacement, rejected, facts
+
+
+def _sample_sphere(count: int, m: int, generator: torch.Generator) -> Tensor:
+    """Draw [count, m, 3] centers uniformly on the unit sphere."""
+    draws = torch.randn(count, m, 3, generator=generator, dtype=torch.float64, device=generator.device)
+    return draws / draws.norm(dim=-1, keepdim=True)
