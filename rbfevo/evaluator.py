@@ -1,7 +1,7 @@
 """The evaluator that methods use: centers of a whole population in, scores out, blocked over the vertices.
 
-One pass accumulates G = Phi^T Phi and b = Phi^T g. With G = L L^T, P = |L^-1 b|_F^2 (eq. 8), the singular values of Phi are
-those of L^T, and those of Phi Psi^-1 are those of L^T Psi^-1 (eqs. 4 and 7). Forming G squares the condition number,
+One pass accumulates G = Phi^T Phi and b = Phi^T g. With G = L L^T, P = |L^-1 b|_F^2 (eq. 8), the singular values of Phi
+are those of L^T, those of Phi Psi^-1 are those of L^T Psi^-1 (eqs. 4 and 7). Forming G squares the condition number,
 so ill-conditioned setups get further passes (CholeskyQR2: Yamamoto et al. 2015; shifted where Cholesky fails: Fukaya et
 al. 2020), and those that stay numerically rank-deficient a blocked Householder QR, which is as good as the definition.
 """
@@ -78,7 +78,7 @@ class Evaluator:
         m = centers.shape[-2]
         if m > n:
             raise UserError(f"{m} centers are more than the design's {n} vertices; use fewer centers")
-        setups = centers.reshape(-1, m, d)
+        setups = centers.reshape(-1, m, d).to(self.deformation.vertices.dtype)
         finite = torch.isfinite(setups).all(-1).all(-1)
         setups = torch.where(finite[:, None, None], setups, 0.0)
         regularity, potential, rank = self._score(setups, finite)
@@ -86,7 +86,8 @@ class Evaluator:
         zero = torch.zeros_like(regularity)
         self.evaluations += len(setups)
         self.failed_evaluations += int(failed.sum())
-        columns = (torch.where(failed, zero, c) for c in (regularity, potential.clamp(0.0, 1.0), rank / n))
+        variability = rank.to(regularity.dtype) / n
+        columns = (torch.where(failed, zero, c) for c in (regularity, potential.clamp(0.0, 1.0), variability))
         regularity, potential, variability = (c.reshape(centers.shape[:-2]) for c in columns)
         return Scores(regularity, potential, variability, failed.reshape(centers.shape[:-2]))
 
@@ -117,8 +118,15 @@ class Evaluator:
         else:
             regularity = sigma[:, -1] / sigma[:, 0]
         regularity = torch.where(rank == m, regularity, 0.0)
-        nan = torch.nan
-        return torch.where(usable, regularity, nan), torch.where(usable, potential, nan), rank
+        regularity, potential = (torch.where(usable, c, torch.nan) for c in (regularity, potential))
+        index = torch.nonzero(finite & ~usable).flatten()
+        if len(index):  # G can overflow where Phi does not
+            exact = self.definition(setups[index])
+            regularity[index], potential[index] = (
+                torch.where(exact.failed, torch.nan, c) for c in (exact.regularity, exact.improvement_potential)
+            )
+            rank[index] = (exact.variability * self.deformation.vertices.shape[0]).round().to(rank.dtype)
+        return regularity, potential, rank
 
     def _direct(self, setups: Tensor, L: Tensor) -> Tensor:
         """R [p] of Phi Psi^-1, whose singular values are those of L^T Psi^-1; 0 where Psi is singular."""

@@ -51,7 +51,8 @@ def evolvability(U: Tensor, gradient: Tensor, weights: Tensor | None = None) -> 
         weights: [n] or None: rows of U and g count with sqrt(weights).
 
     Returns:
-        R = sigma_min/sigma_max, 0 if the rank is below m; P = 1 - |(I - U U^+) g|_F^2; V = rank/n; each [*pop], maximized.
+        R = sigma_min/sigma_max, 0 if the rank is below m; P = 1 - |(I - U U^+) g|_F^2; V = rank/n; each [*pop],
+        maximized.
     """
     n, m = U.shape[-2:]
     if weights is not None:
@@ -67,11 +68,11 @@ def evolvability(U: Tensor, gradient: Tensor, weights: Tensor | None = None) -> 
     coordinates = torch.where(kept[..., None], left.mT @ gradient, 0.0)
     residual = gradient - left @ coordinates
     potential = (1.0 - residual.square().sum((-2, -1))).clamp(0.0, 1.0)
-    return regularity, potential, rank / n
+    return regularity, potential, rank.to(U.dtype) / n
 
 
 def singular(Psi: Tensor, inverse: Tensor) -> Tensor:
-    """Whether Psi [*pop, m, m] is numerically singular: its 1-norm condition number with `inverse` exceeds 1/(m eps)."""
+    """Whether Psi [*pop, m, m] is numerically singular: condition number (1-norm, by `inverse`) above 1/(m eps)."""
     norm = torch.linalg.matrix_norm
     condition = norm(Psi, 1) * norm(inverse, 1)
     return ~(condition < 1.0 / (Psi.shape[-1] * EPS))

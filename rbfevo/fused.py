@@ -25,16 +25,16 @@ _jit_sum = numba.njit(nogil=True, cache=True, error_model="numpy", boundscheck=F
 
 
 @intrinsic
-def _bits(typingctx, value):  # noqa: ANN001, ANN202  (numba's own calling convention)
-    def codegen(context, builder, signature, args):  # noqa: ANN001, ANN202
+def _bits(typingctx, value):
+    def codegen(context, builder, signature, args):
         return builder.bitcast(args[0], ir.IntType(64))
 
     return types.int64(types.float64), codegen
 
 
 @intrinsic
-def _float(typingctx, value):  # noqa: ANN001, ANN202
-    def codegen(context, builder, signature, args):  # noqa: ANN001, ANN202
+def _float(typingctx, value):
+    def codegen(context, builder, signature, args):
         return builder.bitcast(args[0], ir.DoubleType())
 
     return types.float64(types.int64), codegen
@@ -46,7 +46,7 @@ def _log(x):
 
     x = 2^e z with z in [sqrt(1/2), sqrt(2)); log z = 2 artanh(t), t = (z-1)/(z+1), |t| < 0.172, as an odd series.
     """
-    bits = _bits(x) + (0x3FF0000000000000 - 0x3FE6A09E667F3BCD)
+    bits = _bits(x) + (0x3FF0000000000000 - 0x3FE6A09E667F3BCD)  # pyright: ignore[reportCallIssue]
     # Exponent to double without an integer conversion, which AVX2 lacks: biased exponent in the mantissa of 2^52.
     e = _float((bits >> 52) | 0x4330000000000000) - (4503599627370496.0 + 1023.0)
     z = _float((bits & 0x000FFFFFFFFFFFFF) + 0x3FE6A09E667F3BCD)
@@ -187,18 +187,18 @@ def _solve_lower(T, rows, size, A):
     """A <- T^-1 A by forward substitution on the rows of A [rows, size]."""
     for j in range(rows):
         target = A[j, :size]
-        l = 0
-        while l + 4 <= j:
-            t0, t1, t2, t3 = T[j, l], T[j, l + 1], T[j, l + 2], T[j, l + 3]
-            r0, r1, r2, r3 = A[l, :size], A[l + 1, :size], A[l + 2, :size], A[l + 3, :size]
+        q = 0
+        while q + 4 <= j:
+            t0, t1, t2, t3 = T[j, q], T[j, q + 1], T[j, q + 2], T[j, q + 3]
+            r0, r1, r2, r3 = A[q, :size], A[q + 1, :size], A[q + 2, :size], A[q + 3, :size]
             for i in range(size):
                 target[i] -= t0 * r0[i] + t1 * r1[i] + t2 * r2[i] + t3 * r3[i]
-            l += 4
-        while l < j:
-            t0, r0 = T[j, l], A[l, :size]
+            q += 4
+        while q < j:
+            t0, r0 = T[j, q], A[q, :size]
             for i in range(size):
                 target[i] -= t0 * r0[i]
-            l += 1
+            q += 1
         inverse = 1.0 / T[j, j]
         for i in range(size):
             target[i] *= inverse
@@ -254,7 +254,7 @@ def gram_backward(C, X, W, g, starts, low, high, code, support, dG, db, dC):
 
     dPhi = Phi (dG + dG^T) + g db^T; dc_j = sum_i dPhi_ij phi'(r_ij)/r_ij (c_j - x_i).
     """
-    p, m, d = C.shape
+    p, m, _ = C.shape
     k = g.shape[0]
     capacity = _capacity(starts)
     A = np.empty((m, capacity))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import importlib
+import itertools
 import types
 from concurrent.futures import ThreadPoolExecutor
 
@@ -104,7 +105,7 @@ class GramAccumulator:
         starts = b.starts.tolist()
         for first in range(0, p, step):
             chunk = slice(first, first + step)
-            for begin, end in zip(starts[:-1], starts[1:], strict=True):
+            for begin, end in itertools.pairwise(starts):
                 rows = self.kernel(distances(centers[chunk], b.X[:, begin:end].T)) * b.W[begin:end]
                 if factor is not None:
                     rows = torch.linalg.solve_triangular(factor[chunk], rows, upper=False)

@@ -36,7 +36,7 @@ class Kernel(nn.Module):
 
 
 class Wendland(Kernel):
-    """Wendland's C2 function (1 - r/s)^4 (4 r/s + 1) for r < s, else 0 (Wendland 2004; positive definite for d <= 3)."""
+    """Wendland's C2 function (1 - r/s)^4 (4 r/s + 1) for r < s, else 0 (Wendland 2004; positive definite to d = 3)."""
 
     name = "wendland"
     positive_definite = True
@@ -45,16 +45,16 @@ class Wendland(Kernel):
         super().__init__()
         if not (isinstance(support, int | float) and math.isfinite(support) and support > 0):
             raise UserError(f"kernel.support={support}: the support radius must be a positive number, in model units")
-        self.support = float(support)
+        self._radius = self.support = float(support)
 
     def forward(self, r: Tensor) -> Tensor:
-        q = r / self.support
+        q = r / self._radius
         u = (1.0 - q).clamp(min=0.0)
         return (u * u) ** 2 * (4.0 * q + 1.0).where(u > 0, 0.0)
 
     def slope(self, r: Tensor) -> Tensor:
-        u = (1.0 - r / self.support).clamp(min=0.0)
-        return (-20.0 / self.support**2) * u**3
+        u = (1.0 - r / self._radius).clamp(min=0.0)
+        return (-20.0 / self._radius**2) * u**3
 
 
 class ThinPlate(Kernel):
@@ -82,8 +82,19 @@ class Cubic(Kernel):
         return 3.0 * r
 
 
-def triharmonic(dimension: int) -> Kernel:
-    """The paper's triharmonic kernel: r^2 log r for d = 2, r^3 for d = 3.
+def wendland(dimension: int, default_support: float, support: float | None = None) -> Kernel:
+    """Wendland's C2 function with `support`, or where that is None with the scenario's `default_support`.
+
+    Raises:
+        UserError: unless the dimension is 1, 2 or 3 (beyond that it is not positive definite) and the radius positive.
+    """
+    if dimension not in (1, 2, 3):
+        raise UserError(f"Wendland's C2 function is positive definite for up to 3 dimensions, not for {dimension}")
+    return Wendland(default_support if support is None else support)
+
+
+def triharmonic(dimension: int, default_support: float | None = None) -> Kernel:
+    """The paper's triharmonic kernel: r^2 log r for d = 2, r^3 for d = 3; it has no use for a support radius.
 
     Raises:
         UserError: for any other dimension.

@@ -33,16 +33,16 @@ def _ranks_of_two(objectives: Tensor, failed: Tensor, enough: int) -> Tensor:
     f, g = objectives.masked_fill(failed[:, None], -math.inf).unbind(dim=1)
     # Walk by f, then g, best first: only rows met earlier can dominate a row, and duplicates are neighbours.
     order = g.argsort(descending=True, stable=True)
-    order = order[f[order].argsort(descending=True, stable=True)]
-    f, g = f[order], g[order]
+    order = order.take(f.take(order).argsort(descending=True, stable=True))
+    f, g, failed = f.take(order), g.take(order), failed.take(order)
     # Place of each row by g, then f. A row is dominated where an earlier one has a smaller place; duplicates share one.
     by_g = g.argsort(descending=True, stable=True)
     distinct = torch.ones_like(by_g)
     distinct[1:] = (f[1:] != f[:-1]) | (g[1:] != g[:-1])
-    place = torch.empty_like(by_g).scatter_(0, by_g, distinct[by_g].cumsum(0))
+    place = torch.empty_like(by_g).scatter_(0, by_g, distinct.take(by_g).cumsum(0))
 
     peeled = n + 1  # behind every place
-    place.masked_fill_(failed[order], peeled)
+    place.masked_fill_(failed, peeled)
     left = n - int(failed.sum())
     stop = max(left - enough, 0)
     rank, fronts = torch.zeros_like(place), 0
@@ -52,7 +52,7 @@ def _ranks_of_two(objectives: Tensor, failed: Tensor, enough: int) -> Tensor:
         rank += waiting
         fronts += 1
         left = int(waiting.sum())
-    rank.masked_fill_(failed[order], fronts)
+    rank.masked_fill_(failed, fronts)
     return torch.empty_like(rank).scatter_(0, order, rank)
 
 
@@ -94,12 +94,12 @@ def crowding(objectives: Tensor, ranks: Tensor) -> Tensor:
     """
     values = objectives.T
     order = values.argsort(dim=1, descending=True, stable=True)
-    order = order.gather(1, ranks[order].argsort(dim=1, stable=True))  # front by front, best first
+    order = order.gather(1, ranks.take(order).argsort(dim=1, stable=True))  # front by front, best first
     values = values.gather(1, order)
-    rank = ranks[order[0]]  # sorted, and the same for every objective
+    rank = ranks.take(order[0])  # sorted, and the same for every objective
     first = torch.searchsorted(rank, rank)
     last = torch.searchsorted(rank, rank, right=True) - 1
-    spread = values[:, first] - values[:, last]
+    spread = values.index_select(1, first) - values.index_select(1, last)
     place = torch.arange(len(rank), device=rank.device)
     gaps = (values.roll(1, dims=1) - values.roll(-1, dims=1)) / spread
     gaps.masked_fill_((place == first) | (place == last), math.inf)

@@ -3,6 +3,7 @@
 import math
 import statistics
 from collections.abc import Callable
+from typing import Any, cast
 
 import moocore
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pymoo.algorithms.moo.nsga2 import NSGA2 as PymooNSGA2
+from pymoo.algorithms.moo import nsga2 as pymoo
 from pymoo.operators.crossover.sbx import SBX, cross_sbx
 from pymoo.operators.mutation.pm import PM, mut_pm
 from pymoo.optimize import minimize
@@ -61,8 +62,9 @@ def test_median_hypervolume_within_one_percent_of_pymoo(problem: int, pymoo_seed
     theirs = []
     for seed in range(pymoo_seeds):  # prob is of a pair and of an individual, prob_var of each variable of it
         crossover, mutation = SBX(prob=0.9, prob_var=0.5, eta=20), PM(prob=1.0, prob_var=1 / 30, eta=20)
-        algorithm = PymooNSGA2(pop_size=100, crossover=crossover, mutation=mutation)
-        theirs.append(area(minimize(get_problem(f"zdt{problem}"), algorithm, ("n_gen", 250), seed=seed).F))
+        algorithm = pymoo.NSGA2(pop_size=100, crossover=crossover, mutation=mutation)
+        front = minimize(get_problem(f"zdt{problem}"), algorithm, ("n_gen", 250), seed=seed).F
+        theirs.append(area(np.asarray(front)))
     print(
         f"ZDT{problem}: median {statistics.median(ours):.5f} {ours}, pymoo's {statistics.median(theirs):.5f} {theirs}"
     )
@@ -75,6 +77,11 @@ def one_pair(children_of: int, x: tuple[float, float], **settings) -> Tensor:
     initial = torch.tensor(x, dtype=torch.float64).repeat_interleave(children_of // 2)[:, None]
     nsga2 = NSGA2(initial, torch.zeros(1), torch.ones(1), generator=generator, **settings)
     return advance(nsga2, lambda individuals: torch.zeros(len(individuals), 2), 1).ask()[:, 0]
+
+
+def assert_same_distribution(a: np.ndarray, b: np.ndarray) -> None:
+    _, p = cast(tuple[float, float], ks_2samp(a, b))
+    assert p > 0.01
 
 
 def test_crossover_is_distributed_as_pymoos() -> None:
@@ -93,7 +100,7 @@ def test_crossover_is_distributed_as_pymoos() -> None:
         np.full((n, 1), 0.5),
         random_state=np.random.default_rng(0),
     ).ravel()
-    assert ks_2samp(children, of_pymoo).pvalue > 0.01
+    assert_same_distribution(children, of_pymoo)
     assert children.min() >= 0
 
 
@@ -105,20 +112,23 @@ def test_mutation_is_distributed_as_pymoos(x: float) -> None:
     assert len(moved) == pytest.approx(n / (4 if x in (0.0, 1.0) else 2), rel=0.05)  # at a bound half the steps are 0
     arguments = (np.full((n, 1), x), np.zeros(1), np.ones(1), np.full(n, 20.0), np.ones(n), False)
     of_pymoo = mut_pm(*arguments, random_state=np.random.default_rng(0)).ravel()
-    assert ks_2samp(moved, of_pymoo[of_pymoo != x]).pvalue > 0.01
+    assert_same_distribution(moved, of_pymoo[of_pymoo != x])
 
 
 @pytest.mark.parametrize(
     ("probability", "expected"), [(0.0, 0.0), (0.5, 0.25), (1.0, 0.5)], ids=["never", "half", "always"]
 )
 def test_crossover_probability_is_of_a_pair_and_half_of_its_variables_cross(probability: float, expected: float):
-    nsga2 = search(400, 50, crossover_probability=probability, mutation_probability=0.0)
-    advance(nsga2, lambda x: x[:, :2] * 0, 1)
-    crossed = ~torch.isin(nsga2.ask(), nsga2.population)
-    assert float(crossed.double().mean()) == pytest.approx(expected, abs=0.02)
-    by_pair = crossed.view(2, 200, 50)
-    assert torch.equal(by_pair[0], by_pair[1])
-    assert float(by_pair[0].any(dim=1).double().mean()) == pytest.approx(probability, abs=0.1)
+    pairs = []
+    for seed in range(5):
+        nsga2 = search(400, 50, seed, crossover_probability=probability, mutation_probability=0.0)
+        advance(nsga2, lambda x: x[:, :2] * 0, 1)
+        crossed = (~torch.isin(nsga2.ask(), nsga2.population)).view(2, 200, 50)
+        assert torch.equal(crossed[0], crossed[1])
+        pairs.append(crossed[0])
+    crossed = torch.cat(pairs).double()
+    assert float(crossed.mean()) == pytest.approx(expected, abs=0.03)
+    assert float(crossed.amax(dim=1).mean()) == pytest.approx(probability, abs=0.06)  # standard error 0.016
 
 
 def test_first_ask_is_the_initial_population_and_asking_twice_changes_nothing() -> None:
@@ -139,7 +149,7 @@ def test_survivors_are_the_best_of_parents_and_offspring(M: int) -> None:
     def objectives(x: Tensor) -> Tensor:
         return -torch.stack([((x - 0.2 * k) ** 2).sum(dim=1) for k in range(1, M + 1)], dim=1)
 
-    nsga2 = advance(search(30, 4), objectives, 1)
+    nsga2 = advance(search(30, 4, mutation_probability=1.0), objectives, 1)  # no clones, so no ties
     for _ in range(15):
         offspring = nsga2.ask()
         everyone = torch.cat([nsga2.population, offspring])
@@ -228,7 +238,7 @@ def test_failed_individuals_die_first() -> None:
 
 @pytest.mark.parametrize("M", [1, 2, 3])
 def test_constant_objectives(M: int) -> None:
-    flat = advance(search(M + 10 if M % 2 == 0 else M + 11), lambda x: torch.ones(len(x), M), 5)
+    flat = advance(search(12), lambda x: torch.ones(len(x), M), 5)
     assert len(flat.population.unique(dim=0)) > 4  # ties broken at random: no individual takes over
     half = advance(search(20, 5), lambda x: torch.stack([-(x**2).sum(dim=1), 0 * x[:, 0]], dim=1), 60)
     assert float(half.objectives[:, 0].max()) > -1e-3  # the other objective is still optimized
@@ -270,10 +280,17 @@ def test_odd_and_too_small_populations_are_refused(N: int) -> None:
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"crossover_probability": 1.1}, {"mutation_probability": -0.1}, {"mutation_probability": math.nan}]
-    + [{"crossover_eta": -1.0}, {"mutation_eta": math.inf}, {"high": math.inf}, {"low": 2.0}],
+    [
+        {"crossover_probability": 1.1},
+        {"mutation_probability": -0.1},
+        {"mutation_probability": math.nan},
+        {"crossover_eta": -1.0},
+        {"mutation_eta": math.inf},
+        {"high": math.inf},
+        {"low": 2.0},
+    ],
 )
-def test_settings_out_of_range_are_refused(wrong: dict[str, float]) -> None:
+def test_settings_out_of_range_are_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(UserError, match=r"^NSGA-II: [^\n]+$"):
         search(**wrong)
 

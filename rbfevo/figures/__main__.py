@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rbfevo.errors import UserError
 from rbfevo.figures import processes
+from rbfevo.figures.record import read
 
 
 def draw_here(run: Path, figure: str, opengl: bool) -> None:
@@ -17,11 +18,17 @@ def draw_here(run: Path, figure: str, opengl: bool) -> None:
         UserError: if the run directory cannot be drawn.
         OSError: if the picture cannot be written.
     """
-    from rbfevo.figures import centers, front, style  # matplotlib, VTK: only where something is drawn
-    from rbfevo.figures.record import read
-
     record = read(run)
-    picture = front.picture(record) if figure == "front" else centers.picture(record, opengl=opengl)
+    from rbfevo.figures import style  # matplotlib takes a while: only once there is something to draw
+
+    if figure == "front":
+        from rbfevo.figures import front
+
+        picture = front.picture(record)
+    else:
+        from rbfevo.figures import centers
+
+        picture = centers.picture(record, opengl=opengl)
     style.save(picture, run / f"{figure}.png")
 
 

@@ -48,8 +48,8 @@ def picture(record: Record) -> Figure:
         scale = _scale(record.regularity[record.scored])
         _prepare(axes, scale, record.improvement_potential[record.scored])
         _staircase(axes, scale, record)
-        for name, rows in _kinds(record):
-            series = _series(record, *name)
+        kinds = [(_series(record, *kind), rows) for kind, rows in _kinds(record).items()]
+        for series, rows in sorted(kinds, key=lambda kind: kind[0].order):
             axes.scatter(
                 scale.place(record.regularity[rows]),
                 record.improvement_potential[rows],
@@ -70,13 +70,13 @@ def picture(record: Record) -> Figure:
     return figure
 
 
-def _kinds(record: Record) -> list[tuple[tuple[str, bool], Array]]:
-    """Rows with scores by (method, has a preference), in the order in which they first appear."""
+def _kinds(record: Record) -> dict[tuple[str, bool], list[int]]:
+    """Rows with scores by (method, has a preference)."""
     kinds: dict[tuple[str, bool], list[int]] = {}
     for row in np.flatnonzero(record.scored):
         key = (str(record.method[row]), bool(np.isfinite(record.preference[row])))
         kinds.setdefault(key, []).append(int(row))
-    return [(key, np.array(rows)) for key, rows in kinds.items()]
+    return kinds
 
 
 def _series(record: Record, method: str, preferred: bool) -> Series:
@@ -139,7 +139,7 @@ def _prepare(axes: Axes, scale: Scale, potential: Array) -> None:
         axes.xaxis.set_minor_formatter(NullFormatter())
         axes.axvspan(scale.lower, scale.edge, color="#f0f0f0", linewidth=0, zorder=0)
         place = {"xycoords": axes.get_xaxis_transform(), "textcoords": "offset points", "ha": "center", "va": "top"}
-        axes.annotate("0", (scale.zero, 0), (0, -5), **place)
+        axes.annotate("R = 0", (scale.zero, 0), (0, -5), **place)
 
 
 def _staircase(axes: Axes, scale: Scale, record: Record) -> None:

@@ -58,6 +58,8 @@ def choose(record: Record) -> dict[int, str]:
     usable = np.flatnonzero(record.scored & np.isfinite(record.centers).all(axis=(1, 2)))
     if usable.size == 0:
         raise UserError("no setup has finite centers and scores")
+    if usable.size == 1:
+        return {int(usable[0]): "the only setup"}
     R, P = record.regularity[usable], record.improvement_potential[usable]
     found = [
         (usable[np.lexsort((-P, -R))[0]], "best regularity"),

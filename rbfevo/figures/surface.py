@@ -13,7 +13,7 @@ from rbfevo.figures import style
 from rbfevo.figures.record import Array
 from rbfevo.figures.view import View, hidden
 
-PIXELS = 640
+PIXELS = 540  # as many as the panel has on paper
 GHOST = 0.4  # opacity of centers behind the surface
 
 
@@ -53,17 +53,22 @@ def render(axes: Axes, view: View, vertices: Array, faces: Array, colors: Array,
     )
     plotter.enable_anti_aliasing("ssaa")
     plotter.reset_camera_clipping_range()
-    bare = _screenshot(plotter)
+    plotter.show(auto_close=False)
+    bare = _pixels(plotter)
     if bare.std() == 0:
         plotter.close()
         raise RuntimeError("OpenGL rendered an empty picture")
     if len(centers):
         balls: Any = pyvista.PolyData(centers).glyph(geom=pyvista.Sphere(radius=radius), scale=False, orient=False)
-        plotter.add_mesh(balls, color=style.RED, smooth_shading=True, ambient=0.45, diffuse=0.6, specular=0.2)
+        plotter.add_mesh(
+            balls, color=style.RED, smooth_shading=True, ambient=0.45, diffuse=0.6, specular=0.2, render=False
+        )
         plotter.reset_camera_clipping_range()
-        whole = _screenshot(plotter)
+        plotter.render()
+        whole = _pixels(plotter)
         surface.SetVisibility(False)
-        alone = _screenshot(plotter)
+        plotter.render()
+        alone = _pixels(plotter)
         ball = alone[..., 2:] < 0.5  # red, without the rim that blends into the white around it
         seen = (whole != bare).any(axis=2, keepdims=True)
         bare = np.where(ball & ~seen, (1 - GHOST) * bare + GHOST * alone, whole)
@@ -100,7 +105,6 @@ def project(
         axes.scatter(*places[which].T, s=size, facecolor=[color], edgecolor=edge, linewidth=0.4, zorder=3)
 
 
-def _screenshot(plotter) -> Array:
+def _pixels(plotter: Any) -> Array:
     """Return what the plotter shows, [PIXELS, PIXELS, 3] in [0, 1]."""
-    plotter.render()
-    return np.asarray(plotter.screenshot(return_img=True), dtype=float)[..., :3] / 255.0
+    return np.asarray(plotter.image, dtype=float)[..., :3] / 255.0

@@ -1,11 +1,12 @@
 """A batch of independent (mu/mu_w, lambda)-CMA-ES with active covariance update, run as one tensor program.
 
-Equation numbers are those of N. Hansen, *The CMA Evolution Strategy: A Tutorial*, arXiv:1604.00772. Three choices are ours:
+Equation numbers are those of N. Hansen, *The CMA Evolution Strategy: A Tutorial*, arXiv:1604.00772. Three choices are
+ours:
 
-- y = C^(1/2) z with the symmetric root stands for eq. 39's B D z. The distribution is the same, C^(-1/2) y is z itself, and
-  the root, unlike the eigenvectors, depends continuously on C: a batch and a loop over its elements stay together.
-- Selection is of `parents` among `offspring`: eq. 49 with 2 parents in place of lambda weighs the best `parents` and the
-  worst as many (pycma's rule for CMA_mu); the ranks between have weight 0. For parents = offspring / 2 it is eq. 49.
+- y = C^(1/2) z with the symmetric root stands for eq. 39's B D z. The distribution is the same, C^(-1/2) y is z itself,
+  and the root, unlike the eigenvectors, depends continuously on C: a batch and a loop over its elements stay together.
+- Selection is of `parents` among `offspring`: eq. 49 with 2 parents in place of lambda weighs the best `parents` and
+  the worst as many (pycma's rule for CMA_mu); the ranks between weigh 0. For parents = offspring / 2 it is eq. 49.
 - The box is handled by a change of coordinates (`Box`), so that selection, paths and C never see a repaired point.
 """
 
@@ -82,11 +83,12 @@ class Strategy:
 class Box:
     """Search coordinates u [..., D], free on all of R^D, and the points x [..., D] of a box that they stand for.
 
-    A side with two finite bounds is scaled to [0, 1]. Then u is x itself up to a margin M of each bound, bends into the bound
-    as a parabola that touches it at M outside, and is mirrored there: once continuously differentiable everywhere. An
-    objective that pushes linearly against a bound becomes a smooth bowl in u, which reflection (a kink) or clipping (a plateau)
-    would not give; inside and without bounds nothing changes at all. The idea is that of pycma's BoundTransform; the margin
-    here is 5% of the side (`sigma` where the other side is open), which keeps translations and scalings of the box invariant.
+    A side with two finite bounds is scaled to [0, 1]. Then u is x itself up to a margin M of each bound, bends into the
+    bound as a parabola that touches it at M outside, and is mirrored there: continuously differentiable everywhere.
+    An objective that pushes linearly against a bound becomes a smooth bowl in u, which reflection (a kink) or clipping
+    (a plateau) would not give; inside, and without bounds, nothing changes at all. The idea is that of pycma's
+    BoundTransform; the margin here is 5% of the side (`sigma` where the other side is open), so that translating and
+    scaling the box changes nothing.
     """
 
     MARGIN = 0.05
@@ -129,25 +131,27 @@ class Box:
 class CMAES:
     """B independent CMA-ES that MAXIMIZE, in a box, with shared settings and one random generator each.
 
-    Everything is float64, on the device of `mean`. `ask` and `tell` alternate. Bounds may be infinite, one by one. An element
-    whose offspring all tie (or are all NaN) keeps its distribution and samples it again: a constant objective and a converged
-    element stay where they are. An element whose covariance is not finite restarts from C = I at its mean. A side of the box
-    bounds the standard deviation along it: max(1/3, sigma) of the side.
+    Everything is float64, on the device of `mean`. `ask` and `tell` alternate. Any bound may be infinite. An element
+    whose offspring all tie (or are all NaN) keeps its distribution and samples it again: with a constant objective, or
+    once converged, it stays where it is. An element whose C is not finite restarts from C = I at its mean. Along a side
+    of the box no standard deviation exceeds max(1/3, sigma) of the side.
 
     Args:
         mean: [B, D] where to start, inside the box.
-        sigma: first standard deviation, as a share of each side of the box (absolute along sides with an infinite bound).
+        sigma: first standard deviation, as a share of each side of the box (absolute where a bound is infinite).
         lower, upper: [D] bounds, in the unit of `mean`.
-        generators: B generators; element b draws its offspring x D normals of a generation in one call from the b-th.
+        generators: B generators; element b draws its [offspring, D] normals of a generation in one call from the b-th.
         parents, offspring: mu and lambda.
 
     Attributes:
-        best: [B, D] the best point told so far (the start until one is); best_fitness: [B] its fitness (-inf until then).
+        best: [B, D] the best point told so far, the start until there is one.
+        best_fitness: [B] its fitness, -inf until there is one.
         sigma: [B] step sizes, in the unit of the argument.
         generation: number of `tell`s.
 
     Raises:
-        UserError: parents > offspring, parents < 1, offspring < 2, sigma <= 0, an empty box, a mean outside it, wrong shapes.
+        UserError: parents > offspring, parents < 1, offspring < 2, sigma <= 0, an empty box, a mean outside it, or
+            shapes that do not fit.
     """
 
     def __init__(
@@ -180,10 +184,10 @@ class CMAES:
         weighed = [*range(parents), *range(offspring - len(s.negative), offspring)]
         self._weighed = torch.tensor(weighed, device=mean.device)
         self._widest = torch.where(self.box.closed, max(1 / 3, float(sigma)), math.inf)
-        # The tutorial (B.2) waits 1 / (10 n (c_1 + c_mu)) generations to amortize n^3 flops. What bounds the wait from above
-        # is that C must not change much meanwhile, so it is a share of C's memory whatever n: at (25, 100) every generation
-        # to n = 49, every 2nd at 50, every 4th at 75, for which the ellipsoid and Rosenbrock paid at most 0.6% in evaluations
-        # (0.05: 3%).
+        # The tutorial (B.2) waits 1 / (10 n (c_1 + c_mu)) generations to amortize n^3 flops. What bounds the wait is
+        # that C must not change much meanwhile, so here it is a share of C's memory whatever n: at (25, 100) every
+        # generation up to n = 49, every 2nd at 50, every 4th at 75. Ellipsoid and Rosenbrock there took at most 0.6%
+        # more evaluations than when decomposing every generation (3% for a share of 0.05).
         self._wait = max(1, int(STALENESS / (s.c_1 + s.c_mu)))
 
     @property
@@ -265,17 +269,18 @@ class CMAES:
         self.best_fitness = torch.where(better, top, self.best_fitness)
 
     def _decompose(self) -> None:
-        """Bring C^(1/2) up to date, and keep C, element by element, finite, well enough conditioned and inside the box."""
+        """Bring C^(1/2) up to date; keep C, element by element, finite, well conditioned and no wider than the box."""
         C = (self._C + self._C.mT) / 2
+        sound = C.isfinite().flatten(1).all(1)[:, None]  # eigh raises for a whole batch on one NaN
+        C = torch.where(sound[..., None], C, torch.eye(C.shape[1], dtype=C.dtype, device=C.device))
+        sigma = torch.where(self.sigma.isfinite(), self.sigma, self._start_sigma)
         # No standard deviation above the widest: first by sigma, as far as every coordinate asks for it, then by C.
-        room = self._widest / (self.sigma[:, None] * C.diagonal(dim1=1, dim2=2).clamp(min=0).sqrt())
+        room = self._widest / (sigma[:, None] * C.diagonal(dim1=1, dim2=2).clamp(min=0).sqrt())
         common = room.amax(1, keepdim=True).clamp(max=1)
         shrink = (room / common).clamp(max=1)
         C = shrink[:, :, None] * C * shrink[:, None, :]
-        sigma, p_c = self.sigma * common[:, 0], self._p_c * shrink
+        sigma, p_c = sigma * common[:, 0], self._p_c * shrink
 
-        sound = C.isfinite().flatten(1).all(1)[:, None]  # eigh raises for a whole batch on one NaN
-        C = torch.where(sound[..., None], C, torch.eye(C.shape[1], dtype=C.dtype, device=C.device))
         values, vectors = _eigh(C)
         top = values[:, -1:]
         sound = sound & (top > 0)
@@ -287,8 +292,7 @@ class CMAES:
         self._C, self._root = C, (vectors * (limited / scale).sqrt()[:, None]) @ vectors.mT
         self._p_c = torch.where(sound, p_c / scale.sqrt(), 0.0)
         self._p_sigma = torch.where(sound, self._p_sigma, 0.0)
-        sigma = torch.where(sigma.isfinite(), sigma * scale[:, 0].sqrt(), self._start_sigma)
-        self.sigma = sigma.clamp(*STEP_RANGE)
+        self.sigma = (sigma * scale[:, 0].sqrt()).clamp(*STEP_RANGE)
 
     _STATE = ("_m", "sigma", "_C", "_root", "_p_sigma", "_p_c", "best", "best_fitness", "_z", "_x")
 
@@ -309,14 +313,18 @@ class CMAES:
         """
         expected = {"generation", "generators"} | {name.removeprefix("_") for name in self._STATE}
         if set(state) != expected or len(state["generators"]) != len(self._generators):
-            raise UserError("CMAES.load_state_dict: this is not the state of a CMAES of as many elements; check the checkpoint")
+            raise UserError(
+                "CMAES.load_state_dict: this is not the state of a CMAES of as many elements; check the checkpoint"
+            )
         shapes = {"z": (*self._m.shape[:1], self._offspring, self._m.shape[1])}
         shapes["x"] = shapes["z"]
         for name in self._STATE:
             value, key = state[name.removeprefix("_")], name.removeprefix("_")
             shape = shapes.get(key) or tuple(getattr(self, name).shape)
             if value is not None and tuple(value.shape) != shape:
-                raise UserError(f"CMAES.load_state_dict: {key} has shape {list(value.shape)}, the settings ask for {list(shape)}")
+                raise UserError(
+                    f"CMAES.load_state_dict: {key} has shape {list(value.shape)}, the settings ask for {list(shape)}"
+                )
             setattr(self, name, None if value is None else value.to(self._m).clone())
         self.generation = int(state["generation"])
         for generator, saved in zip(self._generators, state["generators"], strict=True):
@@ -327,7 +335,7 @@ def _eigh(C: Tensor) -> tuple[Tensor, Tensor]:
     """Eigenvalues [B, D], ascending, and eigenvectors [B, D, D]; zeros and I for an element where LAPACK fails."""
     try:
         return torch.linalg.eigh(C)
-    except torch.linalg.LinAlgError:
+    except torch.linalg.LinAlgError:  # pyright: ignore[reportPrivateImportUsage]
         if len(C) == 1:
             return C.new_zeros(C.shape[:2]), torch.eye(C.shape[1], dtype=C.dtype, device=C.device).expand_as(C)
         values, vectors = zip(*(_eigh(single[None]) for single in C), strict=True)

@@ -107,9 +107,9 @@ class NSGA2:
         # Shuffled first: the stable sorts below then break every tie at random.
         shuffle = torch.randperm(len(objectives), generator=self.generator, device=self.generator.device)
         shuffle = shuffle.to(objectives.device)
-        survivors = shuffle[_best(objectives[shuffle], N)]
+        survivors = shuffle.take(_best(objectives.index_select(0, shuffle), N))
         self.population = individuals.index_select(0, survivors)
-        self.objectives = objectives[survivors]
+        self.objectives = objectives.index_select(0, survivors)
         self.generation += 1
         self._asked = None
 
@@ -164,7 +164,7 @@ def _best(objectives: Tensor, N: int) -> Tensor:
     """Indices of the N best rows by (rank, crowding), best first, ties by row."""
     rank = ranks(objectives, enough=N)
     order = crowding(objectives, rank).argsort(descending=True, stable=True)
-    return order[rank[order].argsort(stable=True)][:N]
+    return order.take(rank.take(order).argsort(stable=True)[:N])
 
 
 def _crossover(parents: Tensor, lower: Tensor, upper: Tensor, eta: float, choice: Tensor) -> Tensor:

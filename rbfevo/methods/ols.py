@@ -25,7 +25,7 @@ from rbfevo.errors import UserError
 
 
 class Selection(NamedTuple):
-    """Centers [count, d] in the order picked, their candidate indices [count], and the rise of P [count] that each brought."""
+    """Centers [count, d] in the order picked, their candidate indices [count], the rise of P [count] each brought."""
 
     centers: Tensor
     indices: Tensor
@@ -33,7 +33,7 @@ class Selection(NamedTuple):
 
 
 def grid_candidates(lower: Tensor, upper: Tensor, per_axis: int = 30) -> Tensor:
-    """Return the uniform grid [per_axis**d, d] over the box `lower` [d] to `upper` [d], ends included, last axis fastest.
+    """Return the uniform grid [per_axis**d, d] over the box `lower` [d], `upper` [d], ends included, last axis fastest.
 
     Raises:
         UserError: if `per_axis` is below 2.
@@ -45,6 +45,7 @@ def grid_candidates(lower: Tensor, upper: Tensor, per_axis: int = 30) -> Tensor:
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, len(axes))
 
 
+@torch.no_grad()
 def ols(
     columns: Callable[[Tensor], Tensor],
     candidates: Tensor,
@@ -59,9 +60,9 @@ def ols(
 ) -> Selection:
     """Pick `count` of `candidates` [c, d] greedily, to maximize the improvement potential P of indirect manipulation.
 
-    Gains are exact, count all columns of g together, and are in units of P: relative to the squared (weighted) Frobenius
-    norm of g. Those within `tolerance` of the best tie, and the lowest index wins. A candidate is skipped if its column
-    is zero or not finite, or if less than the fraction `vanish` of its squared length is new (w^T w against phi^T phi).
+    Gains are exact, count all columns of g together, and are in units of P: relative to the squared (weighted)
+    Frobenius norm of g. Those within `tolerance` of the best tie, and the lowest index wins. A candidate is skipped if
+    its column is zero or not finite, or if w^T w is below the fraction `vanish` of phi^T phi.
 
     Args:
         columns: maps centers [b, d] to their float64 kernel columns [n, b] at all vertices, without weights.
@@ -71,7 +72,7 @@ def ols(
         weights: [n] positive; rows of Phi and g count with their square roots.
         tolerance: width of a tie, in P.
         vanish: see above.
-        memory: bytes for kept columns: float64 if all fit, else float32; those that do not fit are computed at every pick.
+        memory: bytes for kept columns: float64 if all fit, else float32; what does not fit is computed at every pick.
         block: number of candidates computed at a time.
 
     Raises:
@@ -110,9 +111,9 @@ def ols(
 class _Screen:
     """What is known of every candidate, its column phi scaled to unit length, given the picks so far.
 
-    `left` [c] bounds w^T w from below, `moment` [c, k] is w^T r to within `doubt` [c] in norm, `usable` [c] says who may
-    still be picked. A product of a kept unit column with a unit vector is taken to be wrong by at most `slack`: rounding
-    its n terms, sqrt(n) u (the probabilistic bound of Higham & Mary 2019), and both factors, in the column's precision.
+    `left` [c] bounds w^T w from below, `moment` [c, k] is w^T r to within `doubt` [c] in norm, `usable` [c] says who
+    may still be picked. A product of a kept unit column with a unit vector is taken to be wrong by at most `slack`: u
+    for rounding each factor and sqrt(n) u for summing n terms (Higham & Mary 2019), in the column's precision.
     """
 
     def __init__(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 Points = NDArray[np.float64]
 Triangles = NDArray[np.int64]
@@ -25,8 +27,8 @@ def closest_on_surface(points: Points, vertices: Points, triangles: Triangles) -
     import pyvista
 
     surface = pyvista.PolyData.from_regular_faces(vertices, triangles)
-    triangle, closest = surface.find_closest_cell(points, return_closest_point=True)
-    return np.asarray(closest, np.float64), np.asarray(triangle, np.int64)
+    found: Any = surface.find_closest_cell(points, return_closest_point=True)
+    return np.asarray(found[1], np.float64), np.asarray(found[0], np.int64)
 
 
 def on_open_boundary(closest: Points, triangle: Indices, vertices: Points, triangles: Triangles) -> Mask:
@@ -53,19 +55,21 @@ def on_open_boundary(closest: Points, triangle: Indices, vertices: Points, trian
     return rim
 
 
-def from_behind(points: Points, triangle: Indices, outward: Points, vertices: Points, triangles: Triangles) -> Mask:
-    """Tell which of points [p, 3], with normals `outward` [p, 3], are paired with the inner side of the surface.
+def from_behind(triangle: Indices, outward: Points, kept: Mask, vertices: Points, triangles: Triangles) -> Mask:
+    """Tell which `kept` [p] points are paired with the inner side of the surface, in their `triangle` [p].
 
-    Outer is the side that most of the pairs see: a scan may be turned inside out as a whole.
+    `outward` [p, 3] are the points' own normals. Outer is the side that most of the kept pairs see, since a scan may
+    be turned inside out as a whole.
     """
     a, b, c = np.moveaxis(vertices[triangles[triangle]], 1, 0)
     agreement = (np.cross(b - a, c - a) * outward).sum(axis=1)
-    return agreement < 0.0 if (agreement < 0.0).sum() <= len(points) / 2 else agreement > 0.0
+    sign = -1.0 if (agreement[kept] < 0.0).sum() > kept.sum() / 2 else 1.0
+    return kept & (sign * agreement < 0.0)
 
 
 def closest_in_cloud(points: Points, cloud: Points) -> tuple[Points, Indices]:
     """Find the closest point [p, 3] of `cloud` [n, 3] to each of points [p, 3], and its index [p]."""
-    _, index = cKDTree(cloud).query(points)
+    _, index = KDTree(cloud).query(points)
     return cloud[index], np.asarray(index, np.int64)
 
 
@@ -77,7 +81,7 @@ def beyond_rim(points: Points, index: Indices, cloud: Points) -> Mask:
     rejected if it leaves the point sideways, within that plane, by more than half the mean distance of the neighbours.
     """
     ends, pair = np.unique(index, return_inverse=True)
-    distance, near = cKDTree(cloud).query(cloud[ends], k=min(_NEIGHBOURS, len(cloud) - 1) + 1)
+    distance, near = map(np.asarray, KDTree(cloud).query(cloud[ends], k=min(_NEIGHBOURS, len(cloud) - 1) + 1))
     around = cloud[near[:, 1:]] - cloud[ends][:, None]
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
     normal, plane = axes[:, :, 0], axes[:, :, 1:]

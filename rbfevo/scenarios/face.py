@@ -68,7 +68,9 @@ def face(
     displacement, rejected, facts = _displacements(sphere, vertices, triangles, reject)
     notes |= facts
     if rejected.all():
-        raise UserError(f"{notes['scan']}: every pair of sphere and scan is rejected; check up and front, or reject=none")
+        raise UserError(
+            f"{notes['scan']}: every pair of sphere and scan is rejected; check up and front, or reject=none"
+        )
 
     weights = torch.ones(len(sphere), dtype=torch.float64)
     gradient, norm = unit_gradient(torch.from_numpy(displacement), weights)
@@ -98,7 +100,9 @@ def average_face() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
 
     path = Path(mne.__file__).parent / "data" / "fsaverage" / "fsaverage-head.fif"
     (head,) = mne.read_bem_surfaces(path, verbose="error")
-    surface = pyvista.PolyData.from_regular_faces(np.asarray(head["rr"], np.float64), np.asarray(head["tris"], np.int64))
+    surface = pyvista.PolyData.from_regular_faces(
+        np.asarray(head["rr"], np.float64), np.asarray(head["tris"], np.int64)
+    )
     half = surface.clip("y", origin=(0.0, 0.0, 0.0), invert=False).triangulate()
     return np.asarray(half.points, np.float64), np.asarray(half.regular_faces, np.int64)
 
@@ -117,8 +121,7 @@ def _displacements(
     reject: str,
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_], dict[str, str]]:
     """Pair the sphere's vertices [n, 3] with the scan; return displacements [n, 3], the rejected [n], and notes."""
-    rejected = np.zeros(len(sphere), bool)
-    facts = {}
+    rejected = behind = np.zeros(len(sphere), bool)
     if triangles is None:
         closest, index = correspondence.closest_in_cloud(sphere, vertices)
         if reject == "boundary":
@@ -127,13 +130,12 @@ def _displacements(
         closest, triangle = correspondence.closest_on_surface(sphere, vertices, triangles)
         if reject == "boundary":
             rejected = correspondence.on_open_boundary(closest, triangle, vertices, triangles)
+        behind = correspondence.from_behind(triangle, sphere, ~rejected, vertices, triangles)
     displacement = np.where(rejected[:, None], 0.0, closest - sphere)
-    facts["rejected"] = f"{int(rejected.sum())} of {len(sphere)} vertices stay (reject={reject})"
-    if triangles is not None and not rejected.all():
-        kept = np.flatnonzero(~rejected)
-        behind = correspondence.from_behind(sphere[kept], triangle[kept], sphere[kept], vertices, triangles)
-        share = (displacement[kept[behind]] ** 2).sum() / max((displacement**2).sum(), np.finfo(float).tiny)
-        facts["from behind"] = f"{int(behind.sum())} vertices reach the scan's inner side ({100.0 * share:.1f}% of |g|^2)"
+    facts = {"rejected": f"{int(rejected.sum())} of {len(sphere)} vertices stay (reject={reject})"}
+    if behind.any():
+        share = (displacement[behind] ** 2).sum() / (displacement**2).sum()
+        facts["from behind"] = f"{int(behind.sum())} vertices reach the scan's inner side ({share:.1%} of |g|^2)"
     return displacement, rejected, facts
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from rbfevo.errors import UserError
 
@@ -24,7 +24,7 @@ def merge_coincident(vertices: Points, triangles: Triangles | None) -> tuple[Poi
     that collapse, or that repeat another, and vertices that belong to no triangle are dropped.
     """
     points, first = np.unique(vertices, axis=0, return_inverse=True)
-    pairs = cKDTree(points).query_pairs(_COINCIDENT * float(np.median(_from_middle(points))), output_type="ndarray")
+    pairs = KDTree(points).query_pairs(_COINCIDENT * float(np.median(_from_middle(points))), output_type="ndarray")
     links = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
     _, label = connected_components(links, directed=False)
     _, kept = np.unique(label, return_index=True)
@@ -32,11 +32,11 @@ def merge_coincident(vertices: Points, triangles: Triangles | None) -> tuple[Poi
     if triangles is None:
         return points, None
 
-    triangles = label[first.reshape(-1)][triangles].astype(np.int64)
-    a, b, c = triangles.T
-    triangles = triangles[(a != b) & (b != c) & (c != a)]
-    _, once = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
-    return _used(points, triangles[np.sort(once)])
+    merged = np.asarray(label, np.int64)[first.reshape(-1)][triangles]
+    a, b, c = merged.T
+    merged = merged[(a != b) & (b != c) & (c != a)]
+    _, once = np.unique(np.sort(merged, axis=1), axis=0, return_index=True)
+    return _used(points, merged[np.sort(once)])
 
 
 def drop_strays(vertices: Points, triangles: Triangles | None) -> tuple[Points, Triangles | None, int]:
@@ -57,7 +57,7 @@ def drop_strays(vertices: Points, triangles: Triangles | None) -> tuple[Points, 
 
 
 def turn(vertices: Points, up: str, front: str) -> Points:
-    """Turn vertices [n, 3] so that the axis `up` becomes +y and `front` becomes +z (so the face looks at a viewer on +z).
+    """Turn vertices [n, 3] so that the axis `up` becomes +y and `front` becomes +z, towards the viewer of a picture.
 
     Axes are x, y or z with or without a sign. The turn is a rotation, never a mirror image: +x is up x front.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -69,8 +70,8 @@ def plane(resolution: Sequence[int] = (150, 150), support: float = 0.5) -> Scena
     )
 
 
-def _grid_size(resolution: Sequence[int]) -> tuple[int, int]:
-    sizes = list(resolution) if isinstance(resolution, Sequence) and not isinstance(resolution, str) else [resolution]
+def _grid_size(resolution: object) -> tuple[int, int]:
+    sizes: list[Any] = list(resolution) if isinstance(resolution, Sequence) else []
     whole = all(isinstance(size, int) and not isinstance(size, bool) for size in sizes)
     if len(sizes) != 2 or not whole or min(sizes) < 2:
         raise UserError(f"resolution must be two whole numbers of at least 2, such as [150,150], not {resolution}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,7 +16,7 @@ Sampler = Callable[[int, int, torch.Generator], Tensor]
 
 @dataclasses.dataclass(frozen=True)
 class Scenario:
-    """A design, where it should move, and the box its control points may sit in (all tensors float64 on the CPU).
+    """A design, where it should move, and the box its control points may sit in (all tensors float64).
 
     Attributes:
         name: as on the command line (`plane`, `face`).
@@ -44,11 +45,22 @@ class Scenario:
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
-        if self.gradient.shape[0] != n or self.weights.shape != (n,) or self.lower.shape != (d,) or self.upper.shape != (d,):
+        if (
+            self.gradient.shape[0] != n
+            or self.weights.shape != (n,)
+            or self.lower.shape != (d,)
+            or self.upper.shape != (d,)
+        ):
             raise UserError(f"scenario {self.name}: vertices, gradient, weights and box do not fit together")
         for name in ("vertices", "gradient", "weights", "lower", "upper"):
             if not bool(torch.isfinite(getattr(self, name)).all()):
                 raise UserError(f"scenario {self.name}: {name} has values that are not finite")
+
+    def to(self, device: torch.device) -> Scenario:
+        """The same scenario with its tensors on `device`."""
+        names = ("vertices", "faces", "gradient", "weights", "lower", "upper")
+        moved: dict[str, Any] = {name: getattr(self, name).to(device) for name in names}
+        return dataclasses.replace(self, **moved)
 
 
 def unit_gradient(gradient: Tensor, weights: Tensor) -> tuple[Tensor, float]:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import re
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,10 @@ Triangles = NDArray[np.int64]
 _MESHES = (".ply", ".obj", ".stl", ".off", ".glb")
 _VTK = (".vtk", ".vtp")
 _TABLES = (".xyz", ".csv")
+_ANNOUNCED_FACES = {
+    ".ply": re.compile(rb"^element\s+face\s+(\d+)\s*$", re.MULTILINE),
+    ".off": re.compile(rb"^\s*(?:OFF\s+)?\d+[ \t]+(\d+)[ \t]+\d+\s*$", re.MULTILINE),
+}
 ENDINGS = _MESHES + _VTK + _TABLES
 
 
@@ -67,7 +73,7 @@ def read_surface(path: str | Path) -> tuple[Points, Triangles | None]:
 def _check(path: Path, vertices: Points, triangles: Triangles | None) -> None:
     n = len(vertices)
     if n == 0:
-        raise UserError(f"{path}: the surface is empty, it has no vertices")
+        raise UserError(f"{path}: empty or damaged, there are no vertices in it")
     bad = int((~np.isfinite(vertices)).any(axis=1).sum())
     if bad:
         raise UserError(f"{path}: {bad} of {n} vertices have coordinates that are not finite (NaN or infinite)")
@@ -75,26 +81,26 @@ def _check(path: Path, vertices: Points, triangles: Triangles | None) -> None:
         raise UserError(f"{path}: there is only one point; a surface or cloud needs more")
     if np.abs(vertices).max() > 1e100:
         raise UserError(f"{path}: a coordinate is as large as {np.abs(vertices).max():.1e}; check the file's units")
-    if (vertices == vertices[0]).all():
+    extent = np.ptp(vertices, axis=0).max()
+    if extent < 1e-100:
         raise UserError(f"{path}: all {n} points coincide at {tuple(vertices[0].tolist())}")
     if triangles is None:
         return
     if triangles.min() < 0 or triangles.max() >= n:
         wrong = int(triangles.min() if triangles.min() < 0 else triangles.max())
         raise UserError(f"{path}: a face refers to vertex {wrong} (from 0), but there are {n} vertices")
-    scale = np.ptp(vertices, axis=0).max()
-    a, b, c = np.moveaxis((vertices / scale)[triangles], 1, 0)
-    if not np.cross(b - a, c - a).any():
+    a, b, c = np.moveaxis((vertices / extent)[triangles], 1, 0)
+    if np.abs(np.cross(b - a, c - a)).max() < 1e-14:
         raise UserError(f"{path}: none of its {len(triangles)} triangles has any area")
 
 
 def _read_mesh(content: bytes, ending: str) -> tuple[Points, Triangles | None]:
     import trimesh
 
-    options = {"skip_materials": True} if ending in (".obj", ".glb") else {}
+    options: dict[str, Any] = {"skip_materials": True} if ending in (".obj", ".glb") else {}
     if ending == ".obj":
         options["maintain_order"] = True  # else vertices are split along the seams of the texture
-    loaded = trimesh.load(io.BytesIO(content), file_type=ending[1:], process=False, **options)
+    loaded: Any = trimesh.load(io.BytesIO(content), file_type=ending[1:], process=False, **options)
     parts = []
     if isinstance(loaded, trimesh.Scene):
         for node in loaded.graph.nodes_geometry:
@@ -107,13 +113,16 @@ def _read_mesh(content: bytes, ending: str) -> tuple[Points, Triangles | None]:
     vertices, triangles, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
     for part in parts:
         points = np.asarray(part.vertices, np.float64).reshape(-1, 3)
-        faces = np.asarray(getattr(part, "faces", None) if hasattr(part, "faces") else [], np.int64).reshape(-1, 3)
+        faces = np.asarray(getattr(part, "faces", []), np.int64).reshape(-1, 3)
         if faces.size and (faces.min() < 0 or faces.max() >= len(points)):
             raise ValueError("a face refers to a vertex that is not there")
         vertices.append(points)
         triangles.append(faces + count)
         count += len(points)
     joined = np.concatenate(triangles)
+    announced = _ANNOUNCED_FACES[ending].search(content) if ending in _ANNOUNCED_FACES else None
+    if announced and len(joined) < int(announced[1]):  # a polygon gives at least one triangle
+        raise ValueError(f"cut off: it announces {int(announced[1])} faces and has {len(joined)} triangles")
     return np.concatenate(vertices), joined if len(joined) else None
 
 
@@ -139,7 +148,9 @@ def _read_table(content: bytes) -> Points:
         rows = rows[1:]
         if not rows:
             raise ValueError("a header, but no lines with points")
-    return np.loadtxt(rows, dtype=np.float64, delimiter=delimiter, usecols=columns, ndmin=2, comments=None, quotechar='"')
+    return np.loadtxt(
+        rows, dtype=np.float64, delimiter=delimiter, usecols=columns, ndmin=2, comments=None, quotechar='"'
+    )
 
 
 def _is_number(field: str) -> bool:

@@ -1,0 +1,176 @@
+"""From a composed configuration to checked settings: types from the signatures of what the yaml files point at."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import typing
+from typing import Any
+
+import hydra.utils
+from hydra.errors import InstantiationException
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import ConfigKeyError, OmegaConfBaseException
+
+from rbfevo.deformation import MANIPULATIONS
+from rbfevo.errors import UserError
+
+DEVICES = ("auto", "cpu", "cuda")
+
+
+@dataclasses.dataclass
+class RunConfig:
+    """The keys that belong to no group; `preference` is null, a number, or a list of numbers in [0, 1]."""
+
+    scenario: Any
+    kernel: Any
+    manipulation: Any
+    method: Any
+    experiment: Any = None
+    seed: int = 0
+    centers: int = 25
+    preference: Any = None
+    device: str = "auto"
+    evaluator: str = "auto"
+    quiet: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Checked settings of one run; the three nodes are instantiated by `hydra.utils.instantiate`."""
+
+    scenario: DictConfig
+    kernel: DictConfig
+    method: DictConfig
+    manipulation: str
+    seed: int
+    centers: int
+    preferences: tuple[float, ...] | None
+    device: str
+    evaluator: str
+    quiet: bool
+
+
+def check(config: DictConfig) -> Settings:
+    """Check every key's type and range.
+
+    Raises:
+        UserError: one line that names the key, what is wrong with it, and what there is.
+    """
+    top = typed(config, RunConfig, "")
+    if top.centers < 1:
+        raise UserError(f"centers={top.centers}: at least one center is needed")
+    if not 0 <= top.seed < 2**63:
+        raise UserError(f"seed={top.seed}: choose a whole number from 0 to 2^63 - 1")
+    if top.device not in DEVICES:
+        raise UserError(f"device={top.device}: there is no such device; choose one of {', '.join(DEVICES)}")
+    if not isinstance(top.manipulation, DictConfig) or top.manipulation.get("name") not in MANIPULATIONS:
+        raise UserError(f"manipulation={top.manipulation}: choose one of {', '.join(MANIPULATIONS)}")
+    return Settings(
+        scenario=checked_target(top.scenario, "scenario"),
+        kernel=checked_target(top.kernel, "kernel"),
+        method=checked_target(top.method, "method"),
+        manipulation=str(top.manipulation.name),
+        seed=top.seed,
+        centers=top.centers,
+        preferences=preferences(top.preference),
+        device=top.device,
+        evaluator=top.evaluator,
+        quiet=top.quiet,
+    )
+
+
+def preferences(value: Any) -> tuple[float, ...] | None:
+    """None, or the list of preferences that `preference=` asks for.
+
+    Raises:
+        UserError: unless it is null, a number in [0, 1], or a list of such numbers, none of them twice.
+    """
+    if value is None:
+        return None
+    values = list(value) if isinstance(value, ListConfig | list | tuple) else [value]
+    for entry in values:
+        number = isinstance(entry, int | float) and not isinstance(entry, bool)
+        if not number or not math.isfinite(entry) or not 0 <= entry <= 1:
+            raise UserError(
+                f"preference={value}: {entry} is not a number from 0 (improvement potential) to 1 (regularity)"
+            )
+    if not values:
+        raise UserError("preference=[]: the list is empty; null takes the method's own preferences")
+    if len(set(map(float, values))) < len(values):
+        raise UserError(f"preference={value}: a preference stands there twice")
+    return tuple(float(entry) for entry in values)
+
+
+def checked_target(node: Any, path: str) -> DictConfig:
+    """The node with every value converted to the type that its `_target_` declares, nested nodes included."""
+    if not isinstance(node, DictConfig) or "_target_" not in node:
+        raise UserError(f"{path}={node}: this is not an option of the group {path}")
+    target = hydra.utils.get_object(node["_target_"])
+    hints = typing.get_type_hints(target.__init__ if inspect.isclass(target) else target)
+    parameters = inspect.signature(target).parameters
+    plain = {key: value for key, value in node.items() if not isinstance(value, DictConfig)}
+    fields = []
+    for key in plain:
+        if key != "_target_" and key not in parameters:
+            raise UserError(f"{path}.{key}: there is no such key; there are {', '.join(parameters)}")
+        kind = str if key == "_target_" else omegaconf_type(hints.get(str(key), Any))
+        fields.append((str(key), kind, dataclasses.field(default=dataclasses.MISSING)))
+    values = typed(OmegaConf.create(plain), dataclasses.make_dataclass("Options", fields), f"{path}.")
+    nested = {
+        key: checked_target(value, f"{path}.{key}") for key, value in node.items() if isinstance(value, DictConfig)
+    }
+    return OmegaConf.create({**{key: values[key] for key in plain}, **nested})
+
+
+def omegaconf_type(hint: Any) -> Any:
+    """The nearest type that OmegaConf can check: Sequence becomes list, unions of more than None become Any."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in (tuple, list) or (inspect.isclass(origin) and issubclass(origin, typing.cast(type, typing.Sequence))):
+        inner = [a for a in arguments if a is not ...]
+        return list[inner[0]] if inner and inner[0] in (int, float, str, bool) else list[Any]
+    others = [a for a in arguments if a is not type(None)]
+    if arguments and len(others) < len(arguments):
+        return typing.Optional[omegaconf_type(others[0])] if len(others) == 1 else Any  # noqa: UP045
+    return hint if hint in (int, float, str, bool) else Any
+
+
+def typed(node: DictConfig, schema: Any, path: str) -> Any:
+    """`node` merged into the schema.
+
+    Raises:
+        UserError: naming the key whose type does not fit, or that does not exist.
+    """
+    try:
+        return OmegaConf.merge(OmegaConf.structured(schema), node)
+    except ConfigKeyError as error:
+        names = ", ".join(field.name for field in dataclasses.fields(schema))
+        raise UserError(f"{path}{error.key}: there is no such key; there are {names}") from error
+    except OmegaConfBaseException as error:
+        key = str(error.full_key or error.key)
+        kinds = {field.name: field.type for field in dataclasses.fields(schema)}
+        raise UserError(f"{path}{key}={node[key]}: {in_words(kinds[key])} is expected") from error
+
+
+def in_words(kind: Any) -> str:
+    """A type as a user would say it."""
+    words = {int: "a whole number", float: "a number", str: "a word", bool: "true or false"}
+    plain = {name if isinstance(name, str) else name.__name__: text for name, text in words.items()}
+    arguments = [a for a in typing.get_args(kind) if a is not type(None)]
+    if typing.get_origin(kind) is list:
+        return f"a list, each entry {words.get(arguments[0], 'a value')},"
+    if arguments:
+        return f"null or {in_words(arguments[0])}"
+    return words.get(kind, plain.get(str(kind), "another type"))
+
+
+def build(node: DictConfig, *arguments: Any) -> Any:
+    """Instantiate what a node's `_target_` points at; a user's mistake comes out as it was raised, without Hydra around it."""
+    try:
+        return hydra.utils.instantiate(node, *arguments)
+    except InstantiationException as error:
+        cause: BaseException | None = error
+        while cause is not None and not isinstance(cause, UserError):
+            cause = cause.__cause__
+        raise (error if cause is None else cause) from None

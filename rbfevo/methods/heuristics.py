@@ -1,0 +1,74 @@
+"""The heuristics as methods of a run: one step, no search (paper, section 7)."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from rbfevo.kernels import distances
+from rbfevo.methods.lloyd import lloyd
+from rbfevo.methods.ols import grid_candidates, ols
+from rbfevo.methods.stage import Heuristic, Problem, at_least_one
+
+
+class RandomHeuristic(Heuristic):
+    """`population` setups drawn as the scenario draws initial ones: uniform in the plane's box, or on the sphere."""
+
+    name = "random"
+
+    def __init__(self, population: int = 100) -> None:
+        super().__init__()
+        self.population = at_least_one(f"{self.name}: population", population)
+
+    def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
+        return self.population
+
+    def place(self, problem: Problem) -> Tensor:
+        """[population, m, d]."""
+        return problem.scenario.sample(self.population, problem.centers, problem.stream("random"))
+
+
+class LloydHeuristic(Heuristic):
+    """Uniform centers by Lloyd sampling, for high regularity: the best of `starts` runs of k-means on the vertices."""
+
+    name = "lloyd"
+
+    def __init__(self, starts: int = 10, iterations: int = 100) -> None:
+        super().__init__()
+        self.starts = at_least_one(f"{self.name}: starts", starts)
+        self.iterations = at_least_one(f"{self.name}: iterations", iterations)
+
+    def place(self, problem: Problem) -> Tensor:
+        """[1, m, d]."""
+        scenario = problem.scenario
+        return lloyd(
+            scenario.vertices,
+            problem.centers,
+            generator=problem.stream("lloyd"),
+            weights=scenario.weights,
+            starts=self.starts,
+            iterations=self.iterations,
+        )[None]
+
+
+class OlsHeuristic(Heuristic):
+    """Greedy centers by orthogonal least squares on a grid of candidates, for high improvement potential.
+
+    They are chosen for indirect manipulation and used for both, since P is the same for both.
+    """
+
+    name = "ols"
+
+    def __init__(self, per_axis: int = 30) -> None:
+        super().__init__()
+        self.per_axis = at_least_one(f"{self.name}: per_axis", per_axis)
+
+    def place(self, problem: Problem) -> Tensor:
+        """[1, m, d]."""
+        scenario, kernel = problem.scenario, problem.kernel
+        return ols(
+            lambda centers: kernel(distances(scenario.vertices, centers)),
+            grid_candidates(problem.lower, problem.upper, self.per_axis),
+            scenario.gradient,
+            problem.centers,
+            weights=scenario.weights,
+        ).centers[None]

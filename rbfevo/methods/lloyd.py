@@ -1,0 +1,160 @@
+"""Lloyd's algorithm: spread the centers evenly over the vertices, for high regularity.
+
+Lloyd, "Least squares quantization in PCM", IEEE Trans. Inf. Theory 28(2), 1982, from greedy k-means++ starts (Arthur &
+Vassilvitskii, "k-means++: the advantages of careful seeding", SODA 2007); section 7 of the paper. All starts run as one
+batch of tensors.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+
+_COARSE = 4096  # vertices on which the starts are drawn and run first
+_BLOCK = 2**17  # distances computed at a time: few enough to stay in the cache
+
+
+@torch.no_grad()
+def lloyd(
+    vertices: Tensor,
+    count: int,
+    *,
+    generator: torch.Generator,
+    weights: Tensor | None = None,
+    starts: int = 10,
+    iterations: int = 100,
+    tolerance: float = 1e-3,
+) -> Tensor:
+    """Return the k-means centers [count, d] of `vertices` [n, d], which minimize the (weighted) inertia locally.
+
+    Every start runs until the squares of its centers' moves sum to at most `tolerance` times the mean variance of the
+    vertices along the axes, first on a random part of a large mesh, then on all of it; the one of least inertia runs on
+    until no vertex changes its center. Centers are the centroids of their clusters, in unit and dtype of the vertices.
+    They are not projected back: on a curved surface they lie slightly off it. A center that loses all its vertices goes
+    to the vertex farthest from all other centers.
+
+    Args:
+        vertices: [n, d], model units.
+        count: number of centers.
+        generator: draws the starts, on the device of the vertices.
+        weights: [n] positive masses of the vertices; equal if None.
+        starts: number of k-means++ starts.
+        iterations: bound on the iterations of each of the (at most) three descents.
+        tolerance: see above.
+
+    Raises:
+        UserError: if `count`, `starts` or `iterations` is below 1, `count` exceeds the number of distinct vertices, or
+            a weight is not positive.
+    """
+    if count < 1:
+        raise UserError(f"Lloyd has to place at least one center, not {count}")
+    if starts < 1 or iterations < 1:
+        raise UserError(f"Lloyd needs at least one start and one iteration, not {starts} and {iterations}")
+    if len(vertices[:_COARSE].unique(dim=0)) < count and (distinct := len(vertices.unique(dim=0))) < count:
+        raise UserError(
+            f"Lloyd cannot place {count} centers on {distinct} distinct vertices: "
+            "ask for fewer centers or refine the mesh"
+        )
+    mass = vertices.new_ones(len(vertices)) if weights is None else weights
+    if not bool((mass > 0).all()):
+        raise UserError("Lloyd needs vertex weights that are all positive")
+
+    middle = vertices.mean(0)  # |x|^2 - 2 x.c + |c|^2 cancels far from the origin
+    X = vertices - middle
+    enough = tolerance * X.var(0, correction=0).mean()
+    part = torch.randperm(len(X), generator=generator, device=X.device)[:_COARSE]
+    centers = _seed(X[part], mass[part], count, starts, generator)
+    if len(part) < len(X):
+        centers, _ = _descend(X[part], mass[part], centers, iterations, enough)
+    centers, inertias = _descend(X, mass, centers, iterations, enough)
+    best = centers[inertias.argmin()][None]
+    best, _ = _descend(X, mass, best, iterations, torch.zeros_like(enough))
+    return best[0] + middle
+
+
+def inertia(vertices: Tensor, centers: Tensor, weights: Tensor | None = None) -> Tensor:
+    """Return the (weighted) sum [*pop] of squared distances of `vertices` [n, d] to the nearest `centers` [*pop, m, d]."""
+    square = torch.cdist(vertices, centers, compute_mode="donot_use_mm_for_euclid_dist").amin(-1).square()
+    return (square if weights is None else square * weights).sum(-1)
+
+
+def _seed(X: Tensor, mass: Tensor, count: int, starts: int, generator: torch.Generator) -> Tensor:
+    """Draw vertices [starts, count, d], each with a chance proportional to its squared distance to those before.
+
+    Of 2 + log(count) draws the one that lowers the inertia the most is taken. Once every vertex has a center on it, the
+    last vertex is repeated.
+    """
+    centers = X.new_empty(starts, count, X.shape[1])
+    axes = X.T.contiguous()
+    square = X.new_full((starts, len(X)), torch.inf)
+    chance = mass.expand(starts, -1)
+    start = torch.arange(starts, device=X.device)
+    for j in range(count):
+        cumulative = chance.cumsum(1)
+        total = cumulative[:, -1:]
+        trials = 2 + int(math.log(count)) if j else 1
+        level = total * torch.rand(starts, trials, generator=generator, dtype=X.dtype, device=X.device)
+        level = torch.minimum(level, total.nextafter(torch.zeros_like(total)))  # the product may round up to the total
+        drawn = torch.searchsorted(cumulative, level, right=True).clamp(max=len(X) - 1)
+        squares = torch.stack([torch.minimum(square, _squares(axes, axes[:, i])) for i in drawn.T])
+        taken = (squares @ mass).argmin(0)
+        square = squares[taken, start]
+        centers[:, j] = X[drawn[start, taken]]
+        chance = square * mass
+    return centers
+
+
+def _squares(axes: Tensor, points: Tensor) -> Tensor:
+    """Squared distances [s, n] of vertices `axes` [d, n] to `points` [d, s]: exactly 0 where they coincide."""
+    square = (axes[0] - points[0, :, None]).square()
+    for x, p in zip(axes[1:], points[1:], strict=True):
+        square += (x - p[:, None]).square()
+    return square
+
+
+def _descend(X: Tensor, mass: Tensor, centers: Tensor, iterations: int, enough: Tensor) -> tuple[Tensor, Tensor]:
+    """Move `centers` [s, m, d] to their centroids until each start rests; return them and their last inertias [s]."""
+    centers = centers.clone()
+    inertias = X.new_empty(len(centers))
+    running = torch.arange(len(centers), device=X.device)
+    for _ in range(iterations):
+        moved, inertias[running] = _step(X, mass, centers[running])
+        shift = (moved - centers[running]).square().sum((1, 2))
+        centers[running] = moved
+        running = running[shift > enough]
+        if len(running) == 0:
+            break
+    return centers, inertias
+
+
+def _step(X: Tensor, mass: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the centroids [s, m, d] of the vertices nearest to each center, and the inertias [s] before the move."""
+    s, m, d = centers.shape
+    planes = torch.cat([-2.0 * centers, centers.square().sum(-1, keepdim=True)], -1).reshape(s * m, d + 1).T
+    offset = m * torch.arange(s, device=X.device)
+    sums = X.new_zeros(s * m, d + 1)
+    inertias = (mass @ X.square().sum(1)).repeat(s)
+    rows = max(1, _BLOCK // (s * m))
+    for x, w in zip(torch.cat([X, torch.ones_like(X[:, :1])], 1).split(rows), mass.split(rows), strict=True):
+        lowest, label = (x @ planes).view(-1, s, m).min(-1)  # |x - c|^2 - |x|^2
+        inertias += w @ lowest
+        sums.index_add_(0, (label + offset).view(-1), (x * w[:, None])[:, None].expand(-1, s, -1).reshape(-1, d + 1))
+    sums = sums.view(s, m, d + 1)
+    moved = sums[..., :d] / sums[..., d:]
+    for i in (sums[..., d] == 0).any(1).nonzero()[:, 0].tolist():
+        moved[i] = _reseed(X, moved[i], sums[i, :, d] == 0)
+    return moved, inertias
+
+
+def _reseed(X: Tensor, centers: Tensor, empty: Tensor) -> Tensor:
+    """Move each of the `empty` [m] among `centers` [m, d] to the vertex farthest from all others."""
+    axes = X.T
+    square = _squares(axes, centers[~empty].T).amin(0)
+    for j in empty.nonzero()[:, 0].tolist():
+        centers[j] = X[square.argmax()]
+        square = torch.minimum(square, _squares(axes, centers[j, :, None])[0])
+    return centers

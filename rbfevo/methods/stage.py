@@ -1,0 +1,170 @@
+"""What a method is to a run: it starts, takes one step after the other, and can say at any time what it has found."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import math
+import zlib
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.evolvability import Scores
+from rbfevo.kernels import Kernel
+from rbfevo.pareto import hypervolume
+from rbfevo.scenarios.scenario import Scenario
+
+
+class Rows(NamedTuple):
+    """Setups of one method with their scores: centers [p, m, d], scores [p], preference [p] (NaN where none)."""
+
+    method: str
+    centers: Tensor
+    scores: Scores
+    preference: Tensor
+
+
+class Record(NamedTuple):
+    """One line of the history; hypervolume with reference (0, 0), the best values so far are maximized."""
+
+    method: str
+    preference: float
+    generation: int
+    evaluations: int
+    seconds: float
+    hypervolume: float
+    best_regularity: float
+    best_improvement_potential: float
+    failed_evaluations: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """What methods are given: searches use the scores, the box and starting centers; heuristics scenario and kernel.
+
+    Attributes:
+        evaluate: centers [*pop, m, d] -> Scores [*pop].
+        lower, upper: [d] corners of the box.
+        centers: m, centers a setup.
+        stream: name -> a generator that depends on the run's seed and that name alone.
+        preferences: those asked for, or None.
+        initial: the run's initial population, method `random`; empty if no method asked for one.
+        scenario, kernel: for heuristics.
+    """
+
+    evaluate: Callable[[Tensor], Scores]
+    lower: Tensor
+    upper: Tensor
+    centers: int
+    stream: Callable[[str], torch.Generator]
+    preferences: tuple[float, ...] | None
+    initial: Rows
+    scenario: Scenario
+    kernel: Kernel
+
+    @property
+    def flat_box(self) -> tuple[Tensor, Tensor]:
+        """Corners [D] of the box of flat genotypes, D = m d."""
+        return self.lower.repeat(self.centers), self.upper.repeat(self.centers)
+
+    def unflatten(self, genotypes: Tensor) -> Tensor:
+        """Genotypes [*pop, D] -> centers [*pop, m, d]: the identity parameterization."""
+        return genotypes.unflatten(-1, (self.centers, -1))
+
+
+class Method(abc.ABC):
+    """One stage of a run. Settings are the constructor's; `start` binds it to a problem; `step` until `steps` are done.
+
+    Attributes:
+        name: as on the command line.
+        steps: generations of a search; 1 for a heuristic.
+        initial: setups of the run's initial population that the method starts from.
+    """
+
+    name: str
+    steps: int = 1
+    initial: int = 0
+
+    @abc.abstractmethod
+    def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
+        """Evaluations that all steps together will take, the initial population apart."""
+
+    @abc.abstractmethod
+    def start(self, problem: Problem) -> None:
+        """Bind to a problem."""
+
+    @abc.abstractmethod
+    def step(self) -> None:
+        """Take one step."""
+
+    @abc.abstractmethod
+    def rows(self) -> list[Rows]:
+        """What has been found so far."""
+
+    def progress(self) -> list[tuple[float, Tensor]]:
+        """For each preference (NaN where none) the objectives [p, 2] that the history's line is made of."""
+        return [(math.nan, rows.scores.objectives) for rows in self.rows()]
+
+    def records(self, generation: int, evaluations: int, seconds: float, failed: int) -> list[Record]:
+        """Lines of the history for the state after `generation` steps."""
+        progress = self.progress()
+        volume = hypervolume(torch.cat([points for _, points in progress])) if progress else 0.0
+        return [
+            Record(self.name, preference, generation, evaluations, seconds, volume, *points.amax(0).tolist(), failed)
+            for preference, points in progress
+        ]
+
+
+class Heuristic(Method):
+    """A method of one step that sees scenario and kernel and returns centers [p, m, d]."""
+
+    def __init__(self) -> None:
+        self._problem: Problem | None = None
+        self._rows: list[Rows] = []
+
+    def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
+        """One setup, unless a heuristic proposes more."""
+        return 1
+
+    @abc.abstractmethod
+    def place(self, problem: Problem) -> Tensor:
+        """Centers [p, m, d] of the setups that the heuristic proposes."""
+
+    def start(self, problem: Problem) -> None:
+        self._problem, self._rows = problem, []
+
+    def step(self) -> None:
+        if self._problem is None:
+            raise UserError(f"{self.name}: start it on a problem first")
+        centers = self.place(self._problem)
+        self._rows = [no_preference(self.name, centers, self._problem.evaluate(centers))]
+
+    def rows(self) -> list[Rows]:
+        return self._rows
+
+
+def no_preference(method: str, centers: Tensor, scores: Scores) -> Rows:
+    """Rows of setups that no preference belongs to."""
+    return Rows(method, centers, scores, torch.full_like(scores.regularity, math.nan))
+
+
+def at_least_one(setting: str, value: int) -> int:
+    """`value` if it is at least 1.
+
+    Raises:
+        UserError: naming the setting otherwise.
+    """
+    if value < 1:
+        raise UserError(f"{setting}={value}: at least 1 is needed")
+    return value
+
+
+def random_stream(seed: int, name: str, device: torch.device) -> torch.Generator:
+    """A generator for one purpose of one run: streams of different names or seeds are independent."""
+    state = np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(2, np.uint32)
+    return torch.Generator(device).manual_seed(int(state[0]) << 31 ^ int(state[1]))

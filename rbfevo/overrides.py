@@ -1,0 +1,75 @@
+"""What can be wrong with the words of the command line, in one clear line each."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import hydra
+from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from rbfevo import storage
+
+
+def refuse_used_directory(words: Sequence[str]) -> None:
+    """Refuse `hydra.run.dir=DIR` where DIR holds results, before Hydra overwrites the `.hydra/` that belongs to them.
+
+    Raises:
+        UserError: naming the directory.
+    """
+    for word in words:
+        key, _, value = word.partition("=")
+        if key == "hydra.run.dir":
+            storage.refuse_results(Path(value.strip("'\"")))
+
+
+def explain(error: Exception, words: Sequence[str], conf: Path) -> str:
+    """One line for what Hydra or OmegaConf complains of, with the options there are."""
+    if isinstance(error, MissingConfigException) and error.options is not None:
+        group, _, option = (error.missing_cfg_file or "").rpartition("/")
+        return f"{group}={option}: there is no such {group}; choose one of {', '.join(error.options)}"
+    cause: BaseException = error
+    while isinstance(cause.__cause__, OmegaConfBaseException | HydraException):
+        cause = cause.__cause__
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    first = lines[0] if lines else type(error).__name__
+    unknown = re.search(r"Could not (?:override|append|delete)[^']*'([^'=]+)", first)
+    if unknown is None:
+        unknown = re.search(r"full_key: (\S+)", str(cause)) if "not in struct" in str(cause) else None
+    if unknown is not None:
+        return unknown_key(unknown.group(1).rstrip("."), words, conf)
+    if isinstance(error, OSError):
+        return f"{error.filename}: {error.strerror}; choose another hydra.run.dir" if error.filename else str(error)
+    return re.sub(r"\s+", " ", first)
+
+
+def unknown_key(key: str, words: Sequence[str], conf: Path) -> str:
+    """The line for a key that does not exist: what stands beside where it was looked for, and the nearest of that."""
+    parent, _, name = key.rpartition(".")
+    config = composed(words, conf)
+    node = OmegaConf.select(config, parent) if config is not None and parent else config
+    while parent and not isinstance(node, DictConfig):
+        parent, _, name = parent.rpartition(".")
+        node = OmegaConf.select(config, parent) if config is not None and parent else config
+    keys = [str(k) for k in node if not str(k).startswith("_")] if isinstance(node, DictConfig) else []
+    path = f"{parent}." if parent else ""
+    near = difflib.get_close_matches(name, keys, n=1)
+    meant = f" (did you mean {path}{near[0]}?)" if near else ""
+    there = f"there are {', '.join(path + k for k in keys)}" if keys else f"{parent or 'this'} has no keys of its own"
+    return f"{key}: there is no such key{meant}; {there}"
+
+
+def composed(words: Sequence[str], conf: Path) -> DictConfig | None:
+    """The configuration with the choices of groups among `words` alone, or None if even that cannot be composed."""
+    groups = {path.name for path in conf.iterdir() if path.is_dir()}
+    choices = [word for word in words if word.partition("=")[0] in groups and "," not in word]
+    try:
+        hydra.core.global_hydra.GlobalHydra.instance().clear()
+        with hydra.initialize_config_dir(str(conf), version_base="1.3"):
+            return hydra.compose("config", overrides=choices)
+    except (ConfigCompositionException, HydraException, OmegaConfBaseException):
+        return None

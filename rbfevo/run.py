@@ -1,0 +1,245 @@
+"""One run: scenario, kernel, evaluator and methods in; rows, history and summary out."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import platform
+import signal
+import time
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import torch
+
+from rbfevo import figures, storage
+from rbfevo.config import Settings, build
+from rbfevo.errors import UserError
+from rbfevo.evaluator import Evaluator
+from rbfevo.kernels import Kernel
+from rbfevo.methods.stage import Method, Problem, Record, Rows, no_preference, random_stream
+from rbfevo.pareto import hypervolume
+from rbfevo.progress import Reporter
+from rbfevo.scenarios.scenario import Scenario
+
+# Below this many evaluations a run is over before numba has compiled for the first time: plain torch does them.
+COMPILE_FROM = 5_000
+
+
+class Interruption:
+    """Turns the first SIGINT or SIGTERM into a flag that a run looks at between steps; the second ends the process."""
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Interruption:
+        try:
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._before[number] = signal.signal(number, self._note)
+        except ValueError:  # not the main thread: whoever runs us there decides
+            pass
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def _note(self, number: int, _frame: FrameType | None) -> None:
+        if self.signal is not None:
+            signal.signal(number, signal.SIG_DFL)
+            signal.raise_signal(number)
+        self.signal = number
+
+
+class Run:
+    """The parts of one run, put together from its settings, and what it has found so far.
+
+    Raises:
+        UserError: for what only shows when the parts meet (no such device, more centers than vertices, ...).
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        device = chosen_device(settings.device)
+        self.scenario: Scenario = build(settings.scenario).to(device)
+        n, d = self.scenario.vertices.shape
+        if settings.centers > n:
+            raise UserError(
+                f"centers={settings.centers}: scenario {self.scenario.name} has only {n} vertices; use fewer"
+            )
+        self.kernel: Kernel = build(settings.kernel, d, self.scenario.support)
+        method = build(settings.method)
+        self.name: str = method.name
+        self.stages: list[Method] = getattr(method, "stages", [method])
+        self.planned = sum(stage.planned_evaluations(settings.preferences) for stage in self.stages)
+        backend = settings.evaluator
+        if backend == "auto" and self.planned < COMPILE_FROM:
+            backend = "eager"
+        self.evaluator = Evaluator(
+            self.scenario.vertices,
+            self.scenario.gradient,
+            self.kernel,
+            settings.manipulation,
+            self.scenario.weights,
+            backend,
+        )
+        self.rows: list[Rows] = []
+        self.history: list[Record] = []
+        self.warnings: list[str] = []
+        self.seconds = 0.0
+        self.stop_reason = "budget"
+
+    def search(self, reporter: Reporter, interruption: Interruption) -> None:
+        """Run the methods one after the other, until they are done or interrupted; what they find is kept in any case."""
+        start = time.perf_counter()
+        try:
+            initial = self._initial()
+            problem = self._problem(initial)
+            for stage in self.stages:
+                self._stage(stage, problem, start, reporter, interruption)
+        finally:
+            self.seconds = time.perf_counter() - start
+        if interruption.signal is not None:
+            self.stop_reason = f"interrupted by {signal.Signals(interruption.signal).name}"
+
+    def _stage(
+        self, stage: Method, problem: Problem, start: float, reporter: Reporter, interruption: Interruption
+    ) -> None:
+        if interruption.signal is not None:
+            return
+        try:
+            stage.start(problem)
+            kept = len(self.rows)
+            for step in range(1, stage.steps + 1):
+                stage.step()
+                self.rows[kept:] = stage.rows()
+                seconds = time.perf_counter() - start
+                records = stage.records(step, self.evaluator.evaluations, seconds, self.evaluator.failed_evaluations)
+                self.history += records
+                reporter.update(self.evaluator.evaluations, step, stage.steps, records)
+                if interruption.signal is not None:
+                    return
+        except UserError as error:
+            if len(self.stages) == 1:
+                raise
+            self.warnings.append(f"{stage.name} was left out: {error}")
+
+    def _initial(self) -> Rows:
+        m, count = self.settings.centers, max(stage.initial for stage in self.stages)
+        centers = self.scenario.sample(count, m, self._stream("initial"))
+        rows = no_preference("random", centers, self.evaluator(centers))
+        if count:
+            self.rows.append(rows)
+        return rows
+
+    def _stream(self, name: str) -> torch.Generator:
+        return random_stream(self.settings.seed, name, self.scenario.vertices.device)
+
+    def _problem(self, initial: Rows) -> Problem:
+        return Problem(
+            evaluate=self.evaluator,
+            lower=self.scenario.lower,
+            upper=self.scenario.upper,
+            centers=self.settings.centers,
+            stream=self._stream,
+            preferences=self.settings.preferences,
+            initial=initial,
+            scenario=self.scenario,
+            kernel=self.kernel,
+        )
+
+    def summary(self, volume: float) -> dict[str, Any]:
+        """The contents of `summary.json`."""
+        evaluations = self.evaluator.evaluations
+        return {
+            "scenario": self.scenario.name,
+            "kernel": self.kernel.name,
+            "support": self.kernel.support,
+            "manipulation": self.settings.manipulation,
+            "method": self.name,
+            "centers": self.settings.centers,
+            "seed": self.settings.seed,
+            "device": describe(self.scenario.vertices.device),
+            "versions": versions(),
+            "evaluations": evaluations,
+            "failed_evaluations": self.evaluator.failed_evaluations,
+            "further_passes": self.evaluator.further_passes,
+            "factorizations": self.evaluator.factorizations,
+            "seconds": self.seconds,
+            "evaluations_per_second": evaluations / self.seconds if self.seconds > 0 else 0.0,
+            "hypervolume": volume,
+            "stop_reason": self.stop_reason,
+            "evaluator": self.evaluator.backend,
+            "threads": torch.get_num_threads(),
+            "gradient_norm": self.scenario.gradient_norm,
+            "notes": self.scenario.notes,
+            "warnings": self.warnings,
+        }
+
+    def save(self, directory: Path, reporter: Reporter) -> None:
+        """Score the rows by definition, write the run directory and draw its figures."""
+        if not self.rows:
+            reporter.line("stopped before anything was found; nothing was written")
+            return
+        rescored = [rows._replace(scores=self.evaluator.definition(rows.centers)) for rows in self.rows]
+        table = storage.setup_table(rescored)
+        objectives = torch.cat([rows.scores.objectives for rows in rescored])
+        storage.write_scenario(directory, self.scenario)
+        storage.write_setups(directory, table)
+        storage.write_history(directory, self.history)
+        storage.write_summary(directory, self.summary(hypervolume(objectives)))
+        for warning in [*self.warnings, *figures.draw(directory)]:
+            reporter.line(f"warning: {warning}")
+        reporter.closing_table(table, directory)
+
+
+def carry_out(settings: Settings, directory: Path) -> int:
+    """Carry out one run into its directory; return 0, or 130 and 143 after SIGINT and SIGTERM.
+
+    Raises:
+        UserError: for a user's mistake; what had been found by then is written all the same.
+    """
+    storage.refuse_results(directory)
+    with Interruption() as interruption:
+        run = Run(settings)
+        reporter = Reporter(run.planned, settings.quiet)
+        for note in run.scenario.notes.values():
+            reporter.line(note)
+        try:
+            run.search(reporter, interruption)
+        except BaseException:
+            run.stop_reason = "error"
+            run.save(directory, reporter)
+            raise
+        finally:
+            reporter.close()
+        run.save(directory, reporter)
+    return 0 if interruption.signal is None else 128 + interruption.signal
+
+
+def chosen_device(name: str) -> torch.device:
+    """The device that `device=` asks for.
+
+    Raises:
+        UserError: if it asks for CUDA and there is none.
+    """
+    if name == "cuda" and not torch.cuda.is_available():
+        raise UserError("device=cuda: torch sees no CUDA device here; use device=cpu or device=auto")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
+
+
+def describe(device: torch.device) -> str:
+    """The device in words: `cpu`, or `cuda (NVIDIA ...)`."""
+    return f"cuda ({torch.cuda.get_device_name(device)})" if device.type == "cuda" else device.type
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers of a run depend on."""
+    found = {"python": platform.python_version()}
+    for package in ("rbfevo", "torch", "numpy", "scipy", "numba", "trimesh", "pyvista", "hydra-core", "mne"):
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
