@@ -1,10 +1,16 @@
 """rbfevo: where the control points of an RBF shape deformation should sit, before the design optimization starts."""
 
-from rbfevo.deformation import RBFDeformation
-from rbfevo.errors import UserError
-from rbfevo.evaluator import Evaluator
-from rbfevo.evolvability import Scores, evolvability
-from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, triharmonic, wendland
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rbfevo.deformation import RBFDeformation
+    from rbfevo.errors import UserError
+    from rbfevo.evaluator import Evaluator
+    from rbfevo.evolvability import Scores
+    from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, triharmonic, wendland
 
 __all__ = [
     "Cubic",
@@ -15,7 +21,22 @@ __all__ = [
     "ThinPlate",
     "UserError",
     "Wendland",
-    "evolvability",
     "triharmonic",
     "wendland",
 ]
+
+_MODULES = {
+    "deformation": ("RBFDeformation",),
+    "errors": ("UserError",),
+    "evaluator": ("Evaluator",),
+    "evolvability": ("Scores",),
+    "kernels": ("Cubic", "Kernel", "ThinPlate", "Wendland", "triharmonic", "wendland"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use: the processes that draw figures need no torch, which takes seconds to import."""
+    for module, names in _MODULES.items():
+        if name in names:
+            return getattr(importlib.import_module(f"rbfevo.{module}"), name)
+    raise AttributeError(f"module 'rbfevo' has no attribute {name!r}")

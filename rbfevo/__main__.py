@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.environ[STATUS] = status
         sys.argv = ["rbfevo", *words]
         try:
-            overrides.refuse_used_directory(words)
+            overrides.look_over(words)
             hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
         except KeyboardInterrupt:
             pass

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
+import re
 import typing
 from typing import Any
 
@@ -148,7 +149,7 @@ def typed(node: DictConfig, schema: Any, path: str) -> Any:
         names = ", ".join(field.name for field in dataclasses.fields(schema))
         raise UserError(f"{path}{error.key}: there is no such key; there are {names}") from error
     except OmegaConfBaseException as error:
-        key = str(error.full_key or error.key)
+        key = re.split(r"[.\[]", str(error.full_key or error.key))[0]
         kinds = {field.name: field.type for field in dataclasses.fields(schema)}
         raise UserError(f"{path}{key}={node[key]}: {in_words(kinds[key])} is expected") from error
 

@@ -206,7 +206,10 @@ def _solve_lower(T, rows, size, A):
 
 @_jit
 def gram(C, X, W, g, starts, low, high, code, support, T, M):
-    """M = (Q g)^T (Q g) [p, m+k, m+k] with Q = Phi T^-T, or Q = Phi where T has no rows (T [0, m, m])."""
+    """M = (Q g)^T (Q g) [p, m+k, m+k] with Q = Phi T^-T, or Q = Phi where T has no rows (T [0, m, m]).
+
+    Blocks that no center reaches are skipped: g^T g lacks them.
+    """
     p, m = C.shape[0], C.shape[1]
     k = g.shape[0]
     A = np.empty((m + k, _capacity(starts)))

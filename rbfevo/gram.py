@@ -17,7 +17,8 @@ from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
 
 BACKENDS = ("auto", "fused", "eager")
 FUSED_BLOCK = 1024  # m = 25 rows of 1024 float64 are 200 KiB: half of a usual second-level cache
-EAGER_BYTES = {"cpu": 2 << 20, "cuda": 256 << 20}  # scratch of one eager step
+EAGER_BLOCK = 1024
+EAGER_BYTES = {"cpu": 1 << 18, "cuda": 256 << 20}  # of one temporary of an eager step: in cache, or to fill a GPU
 
 
 @functools.cache
@@ -69,7 +70,7 @@ class GramAccumulator:
         self.backend = "fused" if possible and backend != "eager" else "eager"
         self.kernel = kernel
         self.code = -1 if code is None else code
-        self.size = block or (FUSED_BLOCK if self.backend == "fused" else 4096)
+        self.size = block or (FUSED_BLOCK if self.backend == "fused" else EAGER_BLOCK)
         self.blocks: VertexBlocks = vertex_blocks(vertices, gradient, weights, self.size)
 
     def __call__(self, centers: Tensor, factor: Tensor | None = None) -> Tensor:
@@ -94,6 +95,7 @@ class GramAccumulator:
             fused.gram(C[begin:end], *fixed, self.code, support, part, out[begin:end])
 
         run_in_slices(work, p)
+        M[:, m:, m:] = b.g @ b.g.T  # the kernel skips blocks that no center reaches
         return M
 
     def _run_eager(self, centers: Tensor, factor: Tensor | None) -> Tensor:
@@ -101,7 +103,7 @@ class GramAccumulator:
         b = self.blocks
         k = b.g.shape[0]
         M = torch.zeros(p, m + k, m + k, dtype=centers.dtype, device=centers.device)
-        step = max(1, EAGER_BYTES.get(centers.device.type, 2 << 20) // (8 * (m + k) * self.size))
+        step = max(1, EAGER_BYTES.get(centers.device.type, 1 << 18) // (8 * (m + k) * self.size))
         starts = b.starts.tolist()
         for first in range(0, p, step):
             chunk = slice(first, first + step)
@@ -110,7 +112,11 @@ class GramAccumulator:
                 if factor is not None:
                     rows = torch.linalg.solve_triangular(factor[chunk], rows, upper=False)
                 rows = torch.cat((rows, b.g[:, begin:end].expand(len(rows), -1, -1)), dim=1)
-                M[chunk].baddbmm_(rows, rows.mT)
+                if rows.is_cuda:
+                    M[chunk].baddbmm_(rows, rows.mT)
+                    continue
+                for target, row in zip(M[chunk], rows, strict=True):  # a batched product rounds by the batch's size
+                    target.addmm_(row, row.mT)
         return M
 
 

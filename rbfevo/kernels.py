@@ -48,9 +48,8 @@ class Wendland(Kernel):
         self._radius = self.support = float(support)
 
     def forward(self, r: Tensor) -> Tensor:
-        q = r / self._radius
-        u = (1.0 - q).clamp(min=0.0)
-        return (u * u) ** 2 * (4.0 * q + 1.0).where(u > 0, 0.0)
+        q = (r / self._radius).clamp(max=1.0)
+        return (1.0 - q) ** 4 * (4.0 * q + 1.0)
 
     def slope(self, r: Tensor) -> Tensor:
         u = (1.0 - r / self._radius).clamp(min=0.0)

@@ -13,16 +13,21 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from rbfevo import storage
+from rbfevo.errors import UserError
 
 
-def refuse_used_directory(words: Sequence[str]) -> None:
-    """Refuse `hydra.run.dir=DIR` where DIR holds results, before Hydra overwrites the `.hydra/` that belongs to them.
+def look_over(words: Sequence[str]) -> None:
+    """Refuse what Hydra would stumble over or do harm with, before it starts.
+
+    That is a word without a key, and `hydra.run.dir=DIR` where DIR holds results: Hydra would overwrite their `.hydra/`.
 
     Raises:
-        UserError: naming the directory.
+        UserError: naming the word or the directory.
     """
     for word in words:
         key, _, value = word.partition("=")
+        if not key.strip("+~ "):
+            raise UserError(f"{word or 'an empty word'}: a setting is written key=value")
         if key == "hydra.run.dir":
             storage.refuse_results(Path(value.strip("'\"")))
 

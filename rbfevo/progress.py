@@ -30,7 +30,8 @@ class Reporter:
     def __init__(self, planned: int, quiet: bool, console: Console | None = None) -> None:
         self.console = console or Console(quiet=quiet, highlight=False, soft_wrap=True)
         self.planned = max(planned, 1)
-        self._start = self._last_line = time.monotonic()
+        self._start = time.monotonic()
+        self._last_line = self._start - 0.8 * LINE_EVERY  # the first line comes soon
         self._bar: Progress | None = None
         if self.console.is_terminal and not quiet:
             self._bar = Progress(

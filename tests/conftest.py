@@ -1,14 +1,20 @@
-"""Settings of every test session: two threads for torch, one for NumPy, and no clock in what passes."""
+"""Settings of every test session: one thread for torch and NumPy, and no clock in what passes."""
 
 import os
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported; more crawl on a busy machine
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported
 
 import hypothesis
+import pytest
 import torch
 
 
 def pytest_configure() -> None:
-    torch.set_num_threads(2)
     hypothesis.settings.register_profile("rbfevo", deadline=None, derandomize=True)
     hypothesis.settings.load_profile("rbfevo")
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    """Start every test with one thread, whatever the one before has set."""
+    torch.set_num_threads(1)

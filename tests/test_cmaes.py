@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import cma
@@ -19,6 +19,15 @@ from rbfevo.methods import cmaes
 from rbfevo.methods.cmaes import CMAES, CONDITION_LIMIT, Box, Strategy
 
 Objective = Callable[[Tensor], Tensor]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def one_thread() -> Iterator[None]:
+    """These tensors are small: a second thread only waits."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
 
 
 def ellipsoid(x: Tensor, condition: float = 1e6) -> Tensor:
@@ -100,10 +109,10 @@ def test_evaluations_in_a_wide_box(f: Objective, most: float) -> None:
 
 @pytest.mark.parametrize("f", [ellipsoid, rosenbrock])
 def test_evaluations_at_most_1_2_times_those_of_cma(f: Objective) -> None:
-    """Both free, from the same means and sigma; `cma` may stop once it has lost the comparison."""
-    mean = 4 * uniform(SEEDS, 20) - 2
+    """Both free, from the same three means and sigma; `cma` stops once it has lost the comparison."""
+    mean = 4 * uniform(SEEDS, 20)[:3] - 2
     ours = float(evaluations(free(mean), f, 1e-9, 800).median())
-    theirs = [cma_evaluations(mean[b], 1.0, f, 1e-9, b + 1, limit=ours / 1.2) for b in range(SEEDS)]
+    theirs = [cma_evaluations(mean[b], 1.0, f, 1e-9, b + 1, limit=ours / 1.2) for b in range(3)]
     assert math.isfinite(ours)
     assert ours <= 1.2 * float(np.median(theirs))
 
@@ -112,7 +121,7 @@ def test_evaluations_at_most_1_2_times_those_of_cma(f: Objective) -> None:
 @pytest.mark.parametrize("wide_box", [False, True], ids=["free", "wide box"])
 @pytest.mark.parametrize("f", [ellipsoid, rosenbrock])
 def test_evaluations_in_full(f: Objective, wide_box: bool) -> None:
-    """As above, to the end, with cma's own step-size damping and with the tutorial's (eq. 55), which is faster here."""
+    """Five seeds, to the end, with cma's own step-size damping and with the tutorial's (eq. 55), faster here."""
     mean = 4 * uniform(SEEDS, 20) - 2
     bounds = (-10, 10) if wide_box else (None, None)
     box = cube(20, -10, 10) if wide_box else cube(20, -math.inf, math.inf)
@@ -131,8 +140,6 @@ def test_evaluations_in_full(f: Objective, wide_box: bool) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [50, 75])
 def test_own_work_at_most_a_fifth_of_bounded_cma(n: int) -> None:
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
     search = unit(torch.full((11, n), 0.5, dtype=torch.float64))
     other = cma.CMAEvolutionStrategy(
         n * [0.5], 0.3, {"popsize": 100, "CMA_mu": 25, "bounds": [0, 1], "verbose": -9, "seed": 1}
@@ -153,7 +160,6 @@ def test_own_work_at_most_a_fifth_of_bounded_cma(n: int) -> None:
         evaluated = time.perf_counter()
         other.tell(points, costs)
         theirs.append(11 * (time.perf_counter() - evaluated + asked - start))
-    torch.set_num_threads(threads)
     mine, cmas = 1e3 * float(np.mean(ours[4:])), 1e3 * float(np.mean(theirs[4:]))
     print(f"n={n}: {mine:.1f} ms a generation to {cmas:.1f} ms, ratio {mine / cmas:.3f}")
     assert mine <= cmas / 5
@@ -254,7 +260,7 @@ def test_batch_equals_loop(n: int) -> None:
     loop = [
         CMAES(mean[b : b + 1], 0.3, *cube(n, 0, 1), generators=[torch.Generator().manual_seed(b)]) for b in range(11)
     ]
-    for _ in range(40):
+    for _ in range(12):
         state = batch.state_dict()
         for b, one in enumerate(loop):
             single = {k: v[b : b + 1] if isinstance(v, Tensor) else v for k, v in state.items()}
@@ -308,8 +314,12 @@ def test_state_of_other_settings_is_refused() -> None:
     state = minimize(unit(uniform(2, 7)), ellipsoid, 2).state_dict()
     with pytest.raises(UserError, match="as many elements"):
         unit(uniform(3, 7)).load_state_dict(state)
-    with pytest.raises(UserError, match="shape"):
-        unit(uniform(2, 8)).load_state_dict(state)
+    other = unit(uniform(2, 8))
+    with pytest.raises(UserError, match=r"m is \[2, 7\], the settings ask for \[2, 8\]"):
+        other.load_state_dict(state)
+    assert torch.equal(other.mean, uniform(2, 8))
+    with pytest.raises(UserError, match="C is nothing"):
+        unit(uniform(2, 7)).load_state_dict(state | {"C": None})
     with pytest.raises(UserError, match="state of a CMAES"):
         unit(uniform(2, 7)).load_state_dict({"generation": 1, "generators": []})
 
@@ -356,6 +366,7 @@ def mixed_box() -> tuple[Box, Tensor, Tensor]:
 
 def test_box_coordinates_stay_inside_and_are_continuously_differentiable() -> None:
     box, lower, upper = mixed_box()
+    assert box.margin.tolist() == [0.05, 0.05, 0.3, 0.3, 0.3]
     u = torch.linspace(-7, 7, 280_001, dtype=torch.float64)[:, None].expand(-1, 5)
     x = box.to_box(u)
     assert bool(((x >= lower) & (x <= upper)).all())
@@ -460,8 +471,8 @@ def test_nan_counts_as_worst() -> None:
         return torch.where(x[..., 0] > 0.8, value, ellipsoid(x - 0.7, 100))
 
     first, second = unit(uniform(3, 6)), unit(uniform(3, 6))
-    minimize(first, lambda x: fails(x, math.nan), 150)
-    minimize(second, lambda x: fails(x, 1e9), 150)
+    minimize(first, lambda x: fails(x, math.nan), 100)
+    minimize(second, lambda x: fails(x, 1e9), 100)
     assert torch.equal(first.mean, second.mean)
     assert float(first.best_fitness.min()) > -1e-12
 
@@ -469,17 +480,17 @@ def test_nan_counts_as_worst() -> None:
 @pytest.mark.parametrize("broken", ["nan", "inf", "negative", "sigma"])
 def test_a_degenerate_covariance_restarts_its_element_only(broken: str) -> None:
     """Not reachable by `tell`; a checkpoint with such values stands in."""
-    search, plain = unit(uniform(3, 50)), unit(uniform(3, 50))
+    search, plain = unit(uniform(3, 10)), unit(uniform(3, 10))
     for s in (search, plain):
-        minimize(s, lambda x: ellipsoid(x - 0.5, 10), 20)
+        minimize(s, lambda x: ellipsoid(x - 0.5, 10), 10)
     state = search.state_dict()
     if broken == "sigma":
         state["sigma"][1] = math.nan
     else:
-        state["C"][1] = {"nan": math.nan, "inf": math.inf, "negative": -torch.eye(50, dtype=torch.float64)}[broken]
+        state["C"][1] = {"nan": math.nan, "inf": math.inf, "negative": -torch.eye(10, dtype=torch.float64)}[broken]
     search.load_state_dict(state)
     for s in (search, plain):
-        minimize(s, lambda x: ellipsoid(x - 0.5, 10), 200)
+        minimize(s, lambda x: ellipsoid(x - 0.5, 10), 60)
     assert torch.equal(search.mean[[0, 2]], plain.mean[[0, 2]])
     if broken != "sigma":  # the mean of that element is lost with sigma
         assert float(search.best_fitness[1]) > -1e-3
@@ -534,42 +545,40 @@ def test_sigma_neither_overflows_nor_underflows() -> None:
 
 def test_noise_and_useless_coordinates_stay_within_the_box() -> None:
     """Nothing to learn in nine coordinates of ten: no deviation leaves the box's size, and the tenth is still found."""
-    search = minimize(unit(uniform(3, 10)), lambda x: (x[..., 0] - 0.3) ** 2, 400)
+    search = minimize(unit(uniform(3, 10)), lambda x: (x[..., 0] - 0.3) ** 2, 150)
     state = search.state_dict()
     deviation = state["sigma"][:, None] * state["C"].diagonal(dim1=1, dim2=2).sqrt()
     assert float(deviation.max()) < 0.5
     assert float(search.best_fitness.min()) > -1e-9
     noise = torch.Generator().manual_seed(3)
     search = unit(uniform(3, 10))
-    minimize(search, lambda x: torch.rand(x.shape[:2], generator=noise, dtype=torch.float64), 400)
+    minimize(search, lambda x: torch.rand(x.shape[:2], generator=noise, dtype=torch.float64), 150)
     state = search.state_dict()
     deviation = state["sigma"][:, None] * state["C"].diagonal(dim1=1, dim2=2).sqrt()
     assert 1e-6 < float(deviation.max()) < 0.5
 
 
 def test_a_converged_element_stays() -> None:
-    search = minimize(unit(uniform(2, 5)), lambda x: ((x - 0.5) ** 2).sum(-1), 400)
+    search = minimize(unit(uniform(2, 5)), lambda x: ((x - 0.5) ** 2).sum(-1), 200)
     mean = search.mean.clone()
-    minimize(search, lambda x: ((x - 0.5) ** 2).sum(-1), 300)
+    minimize(search, lambda x: ((x - 0.5) ** 2).sum(-1), 100)
     torch.testing.assert_close(search.mean, mean, rtol=0, atol=1e-7)
     assert float(search.best_fitness.min()) > -1e-30
 
 
-@pytest.mark.parametrize(("n", "batch"), [(1, 1), (1, 4), (2, 1), (30, 1)])
+@pytest.mark.parametrize(("n", "batch"), [(1, 1), (2, 3), (30, 1)])
 @pytest.mark.parametrize(("parents", "offspring"), [(25, 100), (1, 2), (10, 10), (7, 15), (8, 11)])
 def test_every_size_works(n: int, batch: int, parents: int, offspring: int) -> None:
     search = unit(uniform(batch, n), parents=parents, offspring=offspring)
     start = ellipsoid(uniform(batch, n) - 0.5, 10)
-    x = search.ask()
-    assert x.shape == (batch, offspring, n)
-    search.tell(-ellipsoid(x - 0.5, 10))
-    minimize(search, lambda x: ellipsoid(x - 0.5, 10), 299)
+    assert search.ask().shape == (batch, offspring, n)
+    minimize(search, lambda x: ellipsoid(x - 0.5, 10), 100)
     assert search.best.shape == (batch, n)
     assert bool(search.state_dict()["C"].isfinite().all())
-    if parents < offspring and n < 30:
+    if n < 30 and offspring > 2:
         assert bool((-search.best_fitness < 1e-2 * start).all())
-    if (parents, offspring) == (25, 100):
-        assert float(search.best_fitness.min()) > -1e-9
+    if n == 1 and offspring == 100:
+        assert float(search.best_fitness.min()) > -1e-20
 
 
 def test_best_is_what_was_told() -> None:

@@ -329,8 +329,9 @@ DEGENERATE = {
 @pytest.mark.parametrize("case", DEGENERATE)
 def test_degenerate_setups_are_drawn(tmp_path, case, d):
     record = read(change(write(tmp_path, d=d), **DEGENERATE[case]))
-    for image in (front.picture(record), centers.picture(record, opengl=False)):
-        assert pixels(image).std() > 0.02
+    assert pixels(centers.picture(record, opengl=False)).std() > 0.02
+    if d == 2:
+        assert pixels(front.picture(record)).std() > 0.02
 
 
 @pytest.mark.parametrize(
@@ -353,7 +354,6 @@ def test_degenerate_setups_are_drawn(tmp_path, case, d):
 )
 def test_unusual_scenarios_are_drawn(tmp_path, settings):
     record = read(write(tmp_path, **settings))
-    assert pixels(front.picture(record)).std() > 0.02
     image = centers.picture(record, opengl=False)
     assert amount(pixels(image), style.RED) > 10
     told = any("not to scale" in text.get_text() for text in image.texts)
@@ -544,8 +544,9 @@ def test_arrays_that_do_not_fit_together_are_refused(tmp_path):
         read(tmp_path)
 
 
-def test_redrawing_what_is_not_a_run_exits_with_2(tmp_path, capsys):
+def test_redrawing_what_is_not_a_run_exits_with_2(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(processes, "FIGURES", ("centers",))
     assert command_line.main([str(tmp_path / "nowhere")]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert [line.split(" could not be drawn: ")[0] for line in lines] == ["front.png", "centers.png"]
-    assert all("is missing" in line for line in lines)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("centers.png could not be drawn: ")
+    assert "setups.npz is missing" in line

@@ -16,6 +16,7 @@ def textbook(Phi, g, count, tolerance=1e-9, vanish=1e-12):
     W = Phi.astype(float)
     own = (W**2).sum(0)
     usable = np.isfinite(own) & (own > 0)
+    W[:, ~usable] = 0.0
     g = g / np.linalg.norm(g)
     indices, gains = [], []
     for _ in range(count):
@@ -28,8 +29,7 @@ def textbook(Phi, g, count, tolerance=1e-9, vanish=1e-12):
         gains.append(gain[j])
         usable[j] = False
         q = W[:, j] / np.linalg.norm(W[:, j])
-        for _ in range(2):
-            W[:, usable] -= np.outer(q, q @ W[:, usable])
+        W -= np.outer(q, q @ W)
         g = g - np.outer(q, q @ g)
     return indices, gains
 
@@ -81,14 +81,15 @@ FULL, SINGLE, PARTLY, NOTHING = 1e9, 1.5e7, 6e6, 0.0  # bytes, for 900 columns o
 def test_picks_on_the_plane_are_those_of_the_textbook(kernel):
     X, g, box = plane(60)
     columns, candidates = kernel_columns(X, KERNELS[kernel]), grid_candidates(*box)
-    Phi = columns(candidates).numpy()
-    indices, gains = textbook(Phi, g.numpy(), 25)
-    for memory in (FULL, SINGLE, PARTLY, NOTHING):
-        chosen = ols(columns, candidates, g, 25, memory=memory)
-        assert chosen.indices.tolist() == indices
-        assert torch.equal(chosen.centers, candidates[chosen.indices])
-        np.testing.assert_allclose(chosen.gains.numpy(), gains, rtol=1e-6, atol=1e-11)
-        assert abs(float(chosen.gains.sum()) - potential(Phi[:, indices], g.numpy())) <= 1e-9
+    Phi = columns(candidates)
+    indices, gains = textbook(Phi.numpy(), g.numpy(), 25)
+    chosen = ols(columns, candidates, g, 25, memory=FULL)
+    assert torch.equal(chosen.centers, candidates[chosen.indices])
+    assert abs(float(chosen.gains.sum()) - potential(Phi[:, indices].numpy(), g.numpy())) <= 1e-9
+    again = [ols(*looked_up(Phi), g, 25, memory=memory) for memory in (SINGLE, PARTLY, NOTHING)]
+    for selection in (chosen, *again):
+        assert selection.indices.tolist() == indices
+        np.testing.assert_allclose(selection.gains.numpy(), gains, rtol=1e-6, atol=1e-11)
 
 
 @pytest.mark.slow
@@ -184,6 +185,17 @@ def test_a_column_must_bring_a_trillionth_of_its_square(new, used, memory):
     chosen = ols(columns, candidates, g, 2, memory=memory)
     # (a + new b) leads a by 6 new / 11, which is no tie, and then a holds new^2 of its square
     assert chosen.indices.tolist() == ([1, 0] if used else [1, 2])
+
+
+@pytest.mark.parametrize("memory", [1e9, 2e4, 0.0])
+def test_nearly_parallel_columns_keep_the_gains_exact(memory):
+    """A few millionths of each column are its own: orthogonalized only once, the gains would be off by 7e-9."""
+    Phi, g = normal(100, 1) + 2e-6 * normal(100, 90, seed=1), normal(100, 2, seed=2)
+    chosen = ols(*looked_up(Phi), g, 40, memory=memory)
+    for t in (2, 5, 20, 40):
+        Q, _ = np.linalg.qr(Phi[:, chosen.indices[:t]].numpy())
+        exact = ((Q.T @ g.numpy()) ** 2).sum() / float(g.square().sum())
+        assert abs(float(chosen.gains[:t].sum()) - exact) <= 1e-10
 
 
 def test_one_center_is_the_candidate_of_the_smallest_angle():

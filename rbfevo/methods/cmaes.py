@@ -102,7 +102,7 @@ class Box:
         self.offset = torch.where(below, lower, torch.where(above, upper, 0.0))
         self.low = torch.where(below, zero, -inf)
         self.high = torch.where(self.closed, 1.0, torch.where(above, zero, inf))
-        self.margin = torch.where(self.closed, self.MARGIN, sigma)
+        self.margin = torch.where(self.closed, self.MARGIN, torch.full_like(lower, sigma))
         self.left, self.right = self.low - self.margin, self.high + self.margin  # where u is mirrored
         self.period = torch.where(self.closed, 2 * (self.right - self.left), 1.0)
 
@@ -183,7 +183,7 @@ class CMAES:
         self._positive, self._negative = mean.new_tensor(s.positive), mean.new_tensor(s.negative)
         weighed = [*range(parents), *range(offspring - len(s.negative), offspring)]
         self._weighed = torch.tensor(weighed, device=mean.device)
-        self._widest = torch.where(self.box.closed, max(1 / 3, float(sigma)), math.inf)
+        self._widest = torch.where(self.box.closed, max(1 / 3, float(sigma)), torch.full_like(lower, math.inf))
         # The tutorial (B.2) waits 1 / (10 n (c_1 + c_mu)) generations to amortize n^3 flops. What bounds the wait is
         # that C must not change much meanwhile, so here it is a share of C's memory whatever n: at (25, 100) every
         # generation up to n = 49, every 2nd at 50, every 4th at 75. Ellipsoid and Rosenbrock there took at most 0.6%
@@ -316,15 +316,18 @@ class CMAES:
             raise UserError(
                 "CMAES.load_state_dict: this is not the state of a CMAES of as many elements; check the checkpoint"
             )
-        shapes = {"z": (*self._m.shape[:1], self._offspring, self._m.shape[1])}
-        shapes["x"] = shapes["z"]
-        for name in self._STATE:
-            value, key = state[name.removeprefix("_")], name.removeprefix("_")
-            shape = shapes.get(key) or tuple(getattr(self, name).shape)
-            if value is not None and tuple(value.shape) != shape:
+        B, D = self._m.shape
+        offspring = {"_z": (B, self._offspring, D), "_x": (B, self._offspring, D)}  # None between tell and ask
+        values = {name: state[name.removeprefix("_")] for name in self._STATE}
+        for name, value in values.items():
+            shape = offspring.get(name) or tuple(getattr(self, name).shape)
+            fits = name in offspring if value is None else tuple(value.shape) == shape
+            if not fits:
+                given = "nothing" if value is None else list(value.shape)
                 raise UserError(
-                    f"CMAES.load_state_dict: {key} has shape {list(value.shape)}, the settings ask for {list(shape)}"
+                    f"CMAES.load_state_dict: {name.removeprefix('_')} is {given}, the settings ask for {list(shape)}"
                 )
+        for name, value in values.items():
             setattr(self, name, None if value is None else value.to(self._m).clone())
         self.generation = int(state["generation"])
         for generator, saved in zip(self._generators, state["generators"], strict=True):

@@ -77,7 +77,7 @@ def lloyd(
 
 
 def inertia(vertices: Tensor, centers: Tensor, weights: Tensor | None = None) -> Tensor:
-    """Return the (weighted) sum [*pop] of squared distances of `vertices` [n, d] to the nearest `centers` [*pop, m, d]."""
+    """Return the (weighted) sum [*pop] of squared distances, vertices [n, d] to the nearest `centers` [*pop, m, d]."""
     square = torch.cdist(vertices, centers, compute_mode="donot_use_mm_for_euclid_dist").amin(-1).square()
     return (square if weights is None else square * weights).sum(-1)
 

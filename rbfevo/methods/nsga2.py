@@ -46,19 +46,9 @@ class NSGA2:
         mutation_eta: float = 20.0,
     ):
         N, D = initial.shape
-        if N < 4 or N % 2:
-            raise UserError(f"NSGA-II needs an even population of at least 4, not {N}: change the population")
         if mutation_probability is None:
             mutation_probability = 1.0 / D
-        for name, value in (
-            ("crossover_probability", crossover_probability),
-            ("mutation_probability", mutation_probability),
-        ):
-            if not 0.0 <= value <= 1.0:
-                raise UserError(f"NSGA-II: {name} is {value}, choose a number from 0 to 1")
-        for name, value in (("crossover_eta", crossover_eta), ("mutation_eta", mutation_eta)):
-            if not 0.0 <= value < math.inf:
-                raise UserError(f"NSGA-II: {name} is {value}, choose a number that is 0 or larger")
+        check_settings(N, crossover_probability, crossover_eta, mutation_probability, mutation_eta)
         self.lower = lower.detach().to(initial)
         self.upper = upper.detach().to(initial)
         if not bool((self.lower.isfinite() & self.upper.isfinite()).all()):
@@ -158,6 +148,29 @@ class NSGA2:
         self.generation = int(state["generation"])
         self._asked = asked.clone() if len(asked) else None
         self.generator.set_state(state["generator"].cpu())
+
+
+def check_settings(
+    population: int,
+    crossover_probability: float,
+    crossover_eta: float,
+    mutation_probability: float | None,
+    mutation_eta: float,
+) -> None:
+    """Refuse settings that NSGA-II cannot work with.
+
+    Raises:
+        UserError: naming the setting, its value, and what it may be.
+    """
+    if population < 4 or population % 2:
+        raise UserError(f"nsga2: population={population}: choose an even population of at least 4")
+    probabilities = {"crossover_probability": crossover_probability, "mutation_probability": mutation_probability}
+    for name, value in probabilities.items():
+        if value is not None and not 0.0 <= value <= 1.0:
+            raise UserError(f"nsga2: {name}={value}: choose a number from 0 to 1")
+    for name, value in (("crossover_eta", crossover_eta), ("mutation_eta", mutation_eta)):
+        if not 0.0 <= value < math.inf:
+            raise UserError(f"nsga2: {name}={value}: choose a number that is 0 or larger")
 
 
 def _best(objectives: Tensor, N: int) -> Tensor:

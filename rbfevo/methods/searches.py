@@ -10,7 +10,7 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.evolvability import Scores
 from rbfevo.methods.cmaes import CMAES
-from rbfevo.methods.nsga2 import NSGA2
+from rbfevo.methods.nsga2 import NSGA2, check_settings
 from rbfevo.methods.stage import Method, Problem, Rows, at_least_one, no_preference
 
 
@@ -29,8 +29,7 @@ class Nsga2Search(Method):
         mutation_eta: float = 20.0,
     ) -> None:
         self.steps = at_least_one(f"{self.name}: generations", generations)
-        if population < 4 or population % 2:
-            raise UserError(f"nsga2: population={population}: NSGA-II needs an even population of at least 4")
+        check_settings(population, crossover_probability, crossover_eta, mutation_probability, mutation_eta)
         self.initial = self.population = population
         self.crossover_probability, self.crossover_eta = crossover_probability, crossover_eta
         self.mutation_probability, self.mutation_eta = mutation_probability, mutation_eta
