@@ -167,7 +167,7 @@ def in_words(kind: Any) -> str:
 
 
 def build(node: DictConfig, *arguments: Any) -> Any:
-    """Instantiate what a node's `_target_` points at; a user's mistake comes out as it was raised, without Hydra around it."""
+    """Instantiate what a node's `_target_` points at; a user's mistake comes out as it was raised."""
     try:
         return hydra.utils.instantiate(node, *arguments)
     except InstantiationException as error:

@@ -252,6 +252,19 @@ def _capacity(starts):
 
 
 @_jit
+def columns(C, X, code, support, out):
+    """Phi^T [c, n] for centers [c, d] and vertices [d, n], in pieces that stay in the first-level cache."""
+    n = X.shape[1]
+    ones = np.ones(1024)
+    for j in range(C.shape[0]):
+        for begin in range(0, n, 1024):
+            end = min(begin + 1024, n)
+            row = out[j, begin:end]
+            _squared_distances(C[j], X, begin, end, row)
+            _phi_row(code, support, ones[: end - begin], row)
+
+
+@_jit
 def gram_backward(C, X, W, g, starts, low, high, code, support, dG, db, dC):
     """dC [p, m, d] from dG [p, m, m] (symmetrized by the caller: dG + dG^T) and db [p, m, k], recomputing the blocks.
 

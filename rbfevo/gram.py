@@ -6,6 +6,7 @@ import functools
 import importlib
 import itertools
 import types
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import torch
@@ -62,9 +63,8 @@ class GramAccumulator:
     ) -> None:
         if backend not in BACKENDS:
             raise UserError(f"evaluator={backend}: there is no such evaluator; choose one of {', '.join(BACKENDS)}")
-        code = {Wendland: 0, ThinPlate: 1, Cubic: 2}.get(type(kernel))
-        possible = vertices.device.type == "cpu" and code is not None and _fused() is not None
-        possible = possible and vertices.dtype == torch.float64 and vertices.shape[1] in (2, 3)
+        code = _fused_code(vertices, kernel)
+        possible = code is not None
         if backend == "fused" and not possible:
             raise UserError("evaluator=fused needs numba, the CPU and float64; use evaluator=eager")
         self.backend = "fused" if possible and backend != "eager" else "eager"
@@ -118,6 +118,35 @@ class GramAccumulator:
                 for target, row in zip(M[chunk], rows, strict=True):  # a batched product rounds by the batch's size
                     target.addmm_(row, row.mT)
         return M
+
+
+def kernel_columns(vertices: Tensor, kernel: Kernel) -> Callable[[Tensor], Tensor]:
+    """The map from centers [c, d] to their columns phi(|c_j - x_i|) [n, c], by the fastest means there is."""
+    code = _fused_code(vertices, kernel)
+    fused = _fused()
+    if code is None or fused is None:
+        return lambda centers: kernel(distances(vertices, centers))
+    X = vertices.T.contiguous().numpy()
+    support = kernel.support or 0.0
+
+    def columns(centers: Tensor) -> Tensor:
+        C = centers.contiguous().numpy()
+        out = torch.empty(len(centers), len(vertices), dtype=vertices.dtype)
+
+        def work(begin: int, end: int) -> None:
+            fused.columns(C[begin:end], X, code, support, out.numpy()[begin:end])
+
+        run_in_slices(work, len(centers))
+        return out.T
+
+    return columns
+
+
+def _fused_code(vertices: Tensor, kernel: Kernel) -> int | None:
+    """The number of the kernel in `rbfevo.fused`, or None where that cannot run on these vertices."""
+    fits = vertices.device.type == "cpu" and vertices.dtype == torch.float64 and vertices.shape[1] in (2, 3)
+    code = {Wendland: 0, ThinPlate: 1, Cubic: 2}.get(type(kernel))
+    return code if fits and _fused() is not None else None
 
 
 def run_in_slices(work, count: int) -> None:

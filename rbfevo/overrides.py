@@ -19,7 +19,7 @@ from rbfevo.errors import UserError
 def look_over(words: Sequence[str]) -> None:
     """Refuse what Hydra would stumble over or do harm with, before it starts.
 
-    That is a word without a key, and `hydra.run.dir=DIR` where DIR holds results: Hydra would overwrite their `.hydra/`.
+    That is a word without a key, and `hydra.run.dir=DIR` where DIR holds results: Hydra would overwrite `.hydra/`.
 
     Raises:
         UserError: naming the word or the directory.

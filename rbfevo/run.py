@@ -91,7 +91,7 @@ class Run:
         self.stop_reason = "budget"
 
     def search(self, reporter: Reporter, interruption: Interruption) -> None:
-        """Run the methods one after the other, until they are done or interrupted; what they find is kept in any case."""
+        """Run the methods one after the other, until they are done or interrupted; what they find is kept."""
         start = time.perf_counter()
         try:
             initial = self._initial()

@@ -6,6 +6,8 @@ Psi^-1 carries an error of eps cond(Psi), which moves R of a direct setup. Again
 """
 
 import functools
+import os
+import pathlib
 import subprocess
 import sys
 import textwrap
@@ -230,7 +232,7 @@ def test_near_duplicates_against_many_digits(
         if condition > 1.0 / (4 * EPS):
             assert regularity == 0.0
         else:
-            assert abs(regularity - wanted) <= (1e-6 + EPS * condition) * wanted + 1e-12
+            assert abs(regularity - wanted) <= (1e-6 + 4 * EPS * condition) * wanted + 1e-12
     assert (R > 0.0).all() or delta <= 1e-7
 
 
@@ -509,7 +511,7 @@ MEMORY = """
     def status(field):  # kB
         return int(re.search(field + r":\\s+(\\d+)", open("/proc/self/status").read()).group(1))
 
-    torch.set_num_threads(2)
+    torch.set_num_threads(1)
     backend, manipulation = sys.argv[1:]
     x, y = torch.linspace(0, 1, 150, dtype=torch.float64), torch.linspace(0, 2, 150, dtype=torch.float64)
     vertices = torch.stack([x.repeat(150), y.repeat_interleave(150)], dim=1)
@@ -532,12 +534,11 @@ MEMORY = """
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the peak of memory from /proc")
-@pytest.mark.parametrize(("backend", "manipulation"), [("fused", "indirect"), ("fused", "direct"), ("eager", "direct")])
+@pytest.mark.parametrize(("backend", "manipulation"), [("fused", "direct"), ("eager", "indirect")])
 def test_scoring_needs_little_memory(backend: str, manipulation: str) -> None:
     # One stored U of all 200 setups would be 900 MB.
-    script = textwrap.dedent(MEMORY)
-    done = subprocess.run(
-        [sys.executable, "-c", script, backend, manipulation], capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, "-c", textwrap.dedent(MEMORY), backend, manipulation]
+    environment = os.environ | {"PYTHONPATH": str(pathlib.Path(__file__).parents[1])}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert 0.0 <= float(done.stdout) < 200.0

@@ -279,5 +279,3 @@ def test_start_up_is_not_slow_because_of_figures() -> None:
     code = "import sys, rbfevo.run; print([m for m in ('pyvista', 'matplotlib', 'vtkmodules') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.stdout.strip() == "[]", done.stderr
-
-

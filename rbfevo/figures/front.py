@@ -45,7 +45,8 @@ def picture(record: Record) -> Figure:
     with style.typography():
         figure = Figure(figsize=(7.6, 4.7))
         axes = figure.add_axes((0.095, 0.125, 0.62, 0.735))
-        scale = _scale(record.regularity[record.scored])
+        searched = record.scored & ~np.isin(record.method, ("random", "lloyd", "ols"))
+        scale = _scale(record.regularity[record.scored], record.regularity[searched])
         _prepare(axes, scale, record.improvement_potential[record.scored])
         _staircase(axes, scale, record)
         kinds = [(_series(record, *kind), rows) for kind, rows in _kinds(record).items()]
@@ -98,14 +99,19 @@ def _series(record: Record, method: str, preferred: bool) -> Series:
     return Series(method, style.GREY, "s", 30, 5)
 
 
-def _scale(regularity: Array) -> Scale:
-    """Choose the x axis for the regularities of all setups that are drawn."""
+def _scale(regularity: Array, found: Array) -> Scale:
+    """Choose the x axis for the regularities of all setups that are drawn.
+
+    It is logarithmic if the better nine tenths of the `found` ones span decades. Random setups do not count: they
+    nearly always do, and would squeeze a front that does not into a corner; nor does a front's thin tail.
+    """
     positive = regularity[regularity > 0]
     if positive.size == 0:
         return Scale(False, -0.03, 1.0)
     low, high = float(positive.min()), float(positive.max())
     decades = float(np.log10(high / low))
-    if decades <= DECADES:
+    deciding = found[found > 0] if (found > 0).any() else positive
+    if np.log10(deciding.max() / np.quantile(deciding, 0.1)) <= DECADES:
         low = float(regularity.min())
         pad = 0.05 * (high - low if high > low else high)
         return Scale(False, low - pad, high + pad)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from rbfevo.kernels import distances
+from rbfevo.gram import kernel_columns
 from rbfevo.methods.lloyd import lloyd
 from rbfevo.methods.ols import grid_candidates, ols
 from rbfevo.methods.stage import Heuristic, Problem, at_least_one
@@ -64,9 +64,9 @@ class OlsHeuristic(Heuristic):
 
     def place(self, problem: Problem) -> Tensor:
         """[1, m, d]."""
-        scenario, kernel = problem.scenario, problem.kernel
+        scenario = problem.scenario
         return ols(
-            lambda centers: kernel(distances(scenario.vertices, centers)),
+            kernel_columns(scenario.vertices, problem.kernel),
             grid_candidates(problem.lower, problem.upper, self.per_axis),
             scenario.gradient,
             problem.centers,
