@@ -75,7 +75,7 @@ class CmaesSearch(Method):
 
     name = "cmaes"
 
-    def __init__(self, parents: int = 25, population: int = 100, generations: int = 300, sigma: float = 0.2) -> None:
+    def __init__(self, parents: int = 25, population: int = 100, generations: int = 300, sigma: float = 0.05) -> None:
         self.steps = at_least_one(f"{self.name}: generations", generations)
         self.initial = self.population = at_least_one(f"{self.name}: population", population)
         self.parents = at_least_one(f"{self.name}: parents", parents)
