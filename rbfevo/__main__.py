@@ -16,6 +16,7 @@ os.environ["HYDRA_FULL_ERROR"] = "1"
 import hydra
 import hydra.errors
 from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -43,7 +44,7 @@ def job(config: DictConfig) -> None:
         traceback.print_exc()
         code, message = 1, f"{type(error).__name__}: {error}"
     if message:
-        where = f"{directory.name}: " if HydraConfig.get().mode == hydra.types.RunMode.MULTIRUN else ""
+        where = f"{directory.name}: " if HydraConfig.get().mode == RunMode.MULTIRUN else ""
         print(f"rbfevo: {where}{' '.join(message.split())}", file=sys.stderr)
     Path(os.environ[STATUS], uuid.uuid4().hex).write_text(str(code))
     if code in (130, 143):

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import hydra
+from hydra.core.global_hydra import GlobalHydra
 from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -73,7 +74,7 @@ def composed(words: Sequence[str], conf: Path) -> DictConfig | None:
     groups = {path.name for path in conf.iterdir() if path.is_dir()}
     choices = [word for word in words if word.partition("=")[0] in groups and "," not in word]
     try:
-        hydra.core.global_hydra.GlobalHydra.instance().clear()
+        GlobalHydra.instance().clear()
         with hydra.initialize_config_dir(str(conf), version_base="1.3"):
             return hydra.compose("config", overrides=choices)
     except (ConfigCompositionException, HydraException, OmegaConfBaseException):

@@ -114,9 +114,10 @@ class Method(abc.ABC):
         """Lines of the history for the state after `generation` steps."""
         progress = self.progress()
         volume = hypervolume(torch.cat([points for _, points in progress])) if progress else 0.0
+        best = [points.amax(0).tolist() for _, points in progress]
         return [
-            Record(self.name, preference, generation, evaluations, seconds, volume, *points.amax(0).tolist(), failed)
-            for preference, points in progress
+            Record(self.name, preference, generation, evaluations, seconds, volume, regularity, potential, failed)
+            for (preference, _), (regularity, potential) in zip(progress, best, strict=True)
         ]
 
 
