@@ -55,6 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 2 for a user's mistake, 130, 143, or 1."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     OmegaConf.register_new_resolver("unique", lambda: uuid.uuid4().hex[:6], use_cache=True, replace=True)
+    interrupted = False
     with tempfile.TemporaryDirectory(prefix="rbfevo-") as status:
         os.environ[STATUS] = status
         sys.argv = ["rbfevo", *words]
@@ -62,7 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             overrides.look_over(words)
             hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(job)()
         except KeyboardInterrupt:
-            pass
+            interrupted = True
         except UserError as error:
             print(f"rbfevo: {error}", file=sys.stderr)
             return 2
@@ -71,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 2
         codes = [int(path.read_text()) for path in Path(status).iterdir()]
     stops = [code for code in codes if code in (130, 143)]
-    return stops[0] if stops else max(codes, default=0)
+    return stops[0] if stops else 130 if interrupted else max(codes, default=0)
 
 
 if __name__ == "__main__":

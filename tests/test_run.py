@@ -1,0 +1,106 @@
+"""One run: what is kept when something goes wrong, and how it is put together."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from omegaconf import OmegaConf
+
+from rbfevo import run
+from rbfevo.config import Settings, check
+from rbfevo.errors import UserError
+from rbfevo.methods.stage import random_stream
+
+METHODS = {
+    "nsga2": {"_target_": "rbfevo.methods.Nsga2Search", "population": 8, "generations": 3},
+    "cmaes": {"_target_": "rbfevo.methods.CmaesSearch", "population": 6, "parents": 3, "generations": 2},
+    "lloyd": {"_target_": "rbfevo.methods.LloydHeuristic", "starts": 2},
+    "ols": {"_target_": "rbfevo.methods.OlsHeuristic", "per_axis": 8},
+}
+
+
+@pytest.fixture(autouse=True)
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rbfevo.figures.draw", lambda run: [])
+
+
+def settings(method: str, **changes) -> Settings:
+    node = METHODS.get(method, {"_target_": "rbfevo.methods.Panel", **METHODS})
+    config = {
+        "scenario": {"_target_": "rbfevo.scenarios.plane", "resolution": [14, 14], "support": 0.5},
+        "kernel": {"_target_": "rbfevo.kernels.wendland", "support": None},
+        "manipulation": {"name": "indirect"},
+        "method": node,
+        "centers": 5,
+        "quiet": True,
+    }
+    return check(OmegaConf.create({**config, **changes}))
+
+
+def table(directory: Path) -> dict[str, np.ndarray]:
+    with np.load(directory / "setups.npz") as archive:
+        return dict(archive)
+
+
+def test_a_heuristic_that_cannot_work_does_not_sink_the_panel(tmp_path: Path, monkeypatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise UserError("no candidate is usable")
+
+    monkeypatch.setattr("rbfevo.methods.heuristics.ols", refuse)
+    assert run.carry_out(settings("panel"), tmp_path) == 0
+    assert set(table(tmp_path)["method"].tolist()) == {"random", "nsga2", "cmaes", "lloyd"}
+    assert "ols was left out: no candidate is usable" in (tmp_path / "summary.json").read_text()
+
+
+def test_what_was_found_before_an_error_is_written(tmp_path: Path, monkeypatch) -> None:
+    def break_down(*_: object, **__: object) -> None:
+        raise RuntimeError("out of memory, say")
+
+    monkeypatch.setattr("rbfevo.methods.heuristics.lloyd", break_down)
+    with pytest.raises(RuntimeError, match="out of memory"):
+        run.carry_out(settings("panel"), tmp_path)
+    assert set(table(tmp_path)["method"].tolist()) == {"random", "nsga2", "cmaes"}
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interruption_ends_the_run_after_the_step(
+    number: signal.Signals, code: int, tmp_path: Path, monkeypatch
+) -> None:
+    before = signal.getsignal(number)
+    step = run.Method.records
+
+    def interrupted(self, generation: int, *rest):
+        if self.name == "nsga2" and generation == 2:
+            signal.raise_signal(number)
+        return step(self, generation, *rest)
+
+    monkeypatch.setattr(run.Method, "records", interrupted)
+    assert run.carry_out(settings("panel"), tmp_path) == code
+    assert set(table(tmp_path)["method"].tolist()) == {"random", "nsga2"}
+    assert (tmp_path / "history.csv").read_text().count("nsga2") == 2
+    assert signal.getsignal(number) == before
+
+
+def test_scores_do_not_depend_on_the_evaluator(tmp_path: Path) -> None:
+    for backend in ("fused", "eager"):
+        (tmp_path / backend).mkdir()
+        assert run.carry_out(settings("lloyd", evaluator=backend), tmp_path / backend) == 0
+    fused, eager = table(tmp_path / "fused"), table(tmp_path / "eager")
+    for name in fused:
+        np.testing.assert_array_equal(fused[name], eager[name])
+
+
+def test_streams_of_random_numbers_are_told_apart_by_seed_and_name() -> None:
+    device = torch.device("cpu")
+    draws = {
+        (seed, name): torch.rand(4, generator=random_stream(seed, name, device)).tolist()
+        for seed in (0, 1, 2**40)
+        for name in ("initial", "nsga2", "cmaes 0.1", "cmaes 0.2")
+    }
+    assert len({tuple(values) for values in draws.values()}) == len(draws)
+    again = torch.rand(4, generator=random_stream(1, "nsga2", device)).tolist()
+    assert again == draws[1, "nsga2"]
