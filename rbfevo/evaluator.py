@@ -98,11 +98,8 @@ class Evaluator:
         usable = finite & torch.isfinite(M).flatten(1).all(1)
         M = torch.where(usable[:, None, None], M, torch.eye(M.shape[-1], dtype=M.dtype, device=M.device))
         G, b = M[:, :m, :m], M[:, :m, m:]
-        # A column that no vertex feels takes nothing from P and the rank of the others: decouple it.
-        largest = G.diagonal(dim1=1, dim2=2).amax(1, keepdim=True)
-        empty = G.diagonal(dim1=1, dim2=2) == 0
-        G = G + torch.diag_embed(torch.where(empty, largest.where(largest > 0, 1.0), 0.0))
-        L, sound = _cholesky(G)
+        G, empty = decoupled(G)
+        L, sound = cholesky(G)
         potential = torch.linalg.solve_triangular(L, b, upper=False).square().sum((1, 2))
         rank = m - empty.sum(1)
         sigma = torch.linalg.svdvals(L)
@@ -147,7 +144,7 @@ class Evaluator:
         (n, _), m = self.deformation.vertices.shape, setups.shape[1]
         identity = torch.eye(m, dtype=G.dtype, device=G.device)
         shift = 11.0 * (m * n + m * (m + 1)) * EPS * G.diagonal(dim1=1, dim2=2).sum(1)
-        shifted, _ = _cholesky(G + shift[:, None, None] * identity)
+        shifted, _ = cholesky(G + shift[:, None, None] * identity)
         T = torch.where(sound[:, None, None], L, shifted)
         potential = torch.zeros_like(T[:, 0, 0])
         rank = m - empty.sum(1)
@@ -156,7 +153,7 @@ class Evaluator:
         for _ in range(3):  # two suffice after an unshifted factor, three after a shifted one
             M = self.gram(setups[pending], T[pending])
             M = torch.where(torch.isfinite(M).flatten(1).all(1)[:, None, None], M, 0.0)
-            L2, sound = _cholesky(M[:, :m, :m] + torch.diag_embed(empty[pending].to(M.dtype)))
+            L2, sound = cholesky(M[:, :m, :m] + torch.diag_embed(empty[pending].to(M.dtype)))
             sigma = torch.linalg.svdvals(L2)
             done = sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0])
             y = torch.linalg.solve_triangular(L2, M[:, :m, m:], upper=False)
@@ -193,7 +190,18 @@ class Evaluator:
         return R[:, :m, :m].mT, potential, kept.sum(1)
 
 
-def _cholesky(G: Tensor) -> tuple[Tensor, Tensor]:
+def decoupled(G: Tensor) -> tuple[Tensor, Tensor]:
+    """G [p, m, m] with the columns that no vertex feels [p, m] given a diagonal of their own, and which they are.
+
+    Such a column takes nothing from P and the rank of the others.
+    """
+    diagonal = G.diagonal(dim1=1, dim2=2)
+    largest = diagonal.amax(1, keepdim=True)
+    empty = diagonal == 0
+    return G + torch.diag_embed(torch.where(empty, largest.where(largest > 0, 1.0), 0.0).detach()), empty
+
+
+def cholesky(G: Tensor) -> tuple[Tensor, Tensor]:
     """Lower factors [p, m, m], the identity where there is none, and whether there is one [p]; never raises."""
     L, info = torch.linalg.cholesky_ex(G)
     sound = (info == 0) & torch.isfinite(L).flatten(1).all(1)

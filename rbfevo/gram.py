@@ -77,6 +77,52 @@ class GramAccumulator:
         """M [p, m+k, m+k] for finite centers [p, m, d] and, if given, factors T [p, m, m]."""
         return (self._run_fused if self.backend == "fused" else self._run_eager)(centers.contiguous(), factor)
 
+    def backward(self, centers: Tensor, dM: Tensor) -> Tensor:
+        """Gradient [p, m, d] in the centers of a function of M [p, m+k, m+k] with gradient `dM`, blocks recomputed.
+
+        dPhi = Phi (dG + dG^T) + g db^T; dc_j = sum_i dPhi_ij phi'(r_ij)/r_ij (c_j - x_i).
+        """
+        m = centers.shape[1]
+        S = dM + dM.mT
+        run = self._backward_fused if self.backend == "fused" else self._backward_eager
+        return run(centers.contiguous(), S[:, :m, :m].contiguous(), S[:, :m, m:].contiguous())
+
+    def _backward_fused(self, centers: Tensor, dG: Tensor, db: Tensor) -> Tensor:
+        fused = _fused()
+        if fused is None:
+            raise UserError("evaluator=fused needs numba")
+        out = torch.empty_like(centers)
+        b = self.blocks
+        fixed = (b.X.numpy(), b.W.numpy(), b.g.numpy(), b.starts.numpy(), b.low.numpy(), b.high.numpy())
+        arrays = [array.detach().numpy() for array in (centers, dG, db, out)]
+
+        def work(begin: int, end: int) -> None:
+            C, left, right, into = (array[begin:end] for array in arrays)
+            fused.gram_backward(C, *fixed, self.code, self.kernel.support or 0.0, left, right, into)
+
+        run_in_slices(work, len(centers))
+        return out
+
+    def _backward_eager(self, centers: Tensor, dG: Tensor, db: Tensor) -> Tensor:
+        b = self.blocks
+        out = torch.zeros_like(centers)
+        for chunk in self._chunks(centers):
+            C = centers[chunk]
+            for begin, end in itertools.pairwise(b.starts.tolist()):
+                X, W = b.X[:, begin:end], b.W[begin:end]
+                r = distances(C, X.T)
+                H = dG[chunk] @ (self.kernel(r) * W) + db[chunk] @ b.g[:, begin:end]
+                H = H * self.kernel.slope(r) * W
+                out[chunk] += H.sum(2, keepdim=True) * C - H @ X.T
+        return out
+
+    def _chunks(self, centers: Tensor) -> list[slice]:
+        """Slices of the population whose rows over one block fit the memory that an eager step may take."""
+        p, m, _ = centers.shape
+        size = 8 * (m + self.blocks.g.shape[0]) * self.size
+        step = max(1, EAGER_BYTES.get(centers.device.type, 1 << 18) // size)
+        return [slice(first, first + step) for first in range(0, p, step)]
+
     def _run_fused(self, centers: Tensor, factor: Tensor | None) -> Tensor:
         fused = _fused()
         if fused is None:
@@ -84,7 +130,7 @@ class GramAccumulator:
         p, m, _ = centers.shape
         k = self.blocks.g.shape[0]
         M = torch.empty(p, m + k, m + k, dtype=centers.dtype)
-        C, out = centers.numpy(), M.numpy()
+        C, out = centers.detach().numpy(), M.numpy()
         T = torch.empty(0, m, m, dtype=centers.dtype).numpy() if factor is None else factor.contiguous().numpy()
         b = self.blocks
         fixed = (b.X.numpy(), b.W.numpy(), b.g.numpy(), b.starts.numpy(), b.low.numpy(), b.high.numpy())
@@ -103,10 +149,8 @@ class GramAccumulator:
         b = self.blocks
         k = b.g.shape[0]
         M = torch.zeros(p, m + k, m + k, dtype=centers.dtype, device=centers.device)
-        step = max(1, EAGER_BYTES.get(centers.device.type, 1 << 18) // (8 * (m + k) * self.size))
         starts = b.starts.tolist()
-        for first in range(0, p, step):
-            chunk = slice(first, first + step)
+        for chunk in self._chunks(centers):
             for begin, end in itertools.pairwise(starts):
                 rows = self.kernel(distances(centers[chunk], b.X[:, begin:end].T)) * b.W[begin:end]
                 if factor is not None:
