@@ -22,8 +22,8 @@ from rbfevo.pareto import hypervolume
 from rbfevo.progress import Reporter
 from rbfevo.scenarios.scenario import Scenario
 
-# Below this many evaluations a run is over before numba has compiled for the first time: plain torch does them.
-COMPILE_FROM = 5_000
+# Below this many evaluations times vertices, plain torch is done before numba has compiled for the first time (8 s).
+COMPILE_FROM = 10_000_000
 
 
 class Interruption:
@@ -74,7 +74,7 @@ class Run:
         self.stages: list[Method] = getattr(method, "stages", [method])
         self.planned = sum(stage.planned_evaluations(settings.preferences) for stage in self.stages)
         backend = settings.evaluator
-        if backend == "auto" and self.planned < COMPILE_FROM:
+        if backend == "auto" and self.planned * n < COMPILE_FROM:
             backend = "eager"
         self.evaluator = Evaluator(
             self.scenario.vertices,
