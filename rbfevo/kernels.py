@@ -49,7 +49,8 @@ class Wendland(Kernel):
 
     def forward(self, r: Tensor) -> Tensor:
         q = (r / self._radius).clamp(max=1.0)
-        return (1.0 - q) ** 4 * (4.0 * q + 1.0)
+        u = (1.0 - q).square()  # pow(., 4) costs as much as ten products
+        return u * u * (4.0 * q + 1.0)
 
     def slope(self, r: Tensor) -> Tensor:
         u = (1.0 - r / self._radius).clamp(min=0.0)
@@ -110,7 +111,8 @@ def distances(a: Tensor, b: Tensor) -> Tensor:
 
     The differences are formed before squaring: |a|^2 - 2ab + |b|^2 would lose half of the digits of small distances.
     """
-    squared = (a[..., :, None, 0] - b[..., None, :, 0]) ** 2
+    squared = (a[..., :, None, 0] - b[..., None, :, 0]).square_()
     for axis in range(1, a.shape[-1]):
-        squared = squared + (a[..., :, None, axis] - b[..., None, :, axis]) ** 2
-    return squared.sqrt()
+        difference = a[..., :, None, axis] - b[..., None, :, axis]
+        squared.addcmul_(difference, difference)
+    return squared.sqrt_()
