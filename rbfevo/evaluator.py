@@ -16,6 +16,7 @@ from rbfevo.errors import UserError
 from rbfevo.evolvability import EPS, Scores, cutoff, score, singular
 from rbfevo.gram import GramAccumulator
 from rbfevo.kernels import Kernel, distances
+from rbfevo.threads import run_in_slices
 
 TRIGGER = 3e-5  # below this R(Phi), G has lost too many digits: eps / TRIGGER^2 is 2e-7
 QR_ROWS = 4096
@@ -102,14 +103,14 @@ class Evaluator:
         L, sound = cholesky(G)
         potential = torch.linalg.solve_triangular(L, b, upper=False).square().sum((1, 2))
         rank = m - empty.sum(1)
-        sigma = torch.linalg.svdvals(L)
+        sigma = singular_values(L)
         index = torch.nonzero(usable & ~(sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0]))).flatten()
         if len(index):
             self.further_passes += len(index)
             L[index], potential[index], rank[index] = self._refine(
                 setups[index], G[index], L[index], sound[index], empty[index]
             )
-            sigma[index] = torch.linalg.svdvals(L[index])
+            sigma[index] = singular_values(L[index])
         if self.deformation.manipulation == "direct":
             regularity = self._direct(setups, L)
         else:
@@ -134,7 +135,7 @@ class Evaluator:
         LU, pivots, _ = torch.linalg.lu_factor_ex(Psi)
         solution = torch.linalg.lu_solve(LU, pivots, torch.cat((L, identity.expand_as(L)), dim=2))  # Psi = Psi^T
         lost = singular(Psi, solution[:, :, m:]) | ~torch.isfinite(solution).flatten(1).all(1)
-        sigma = torch.linalg.svdvals(torch.where(lost[:, None, None], identity, solution[:, :, :m]))
+        sigma = singular_values(torch.where(lost[:, None, None], identity, solution[:, :, :m]))
         return torch.where(lost, 0.0, sigma[:, -1] / sigma[:, 0])
 
     def _refine(
@@ -154,7 +155,7 @@ class Evaluator:
             M = self.gram(setups[pending], T[pending])
             M = torch.where(torch.isfinite(M).flatten(1).all(1)[:, None, None], M, 0.0)
             L2, sound = cholesky(M[:, :m, :m] + torch.diag_embed(empty[pending].to(M.dtype)))
-            sigma = torch.linalg.svdvals(L2)
+            sigma = singular_values(L2)
             done = sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0])
             y = torch.linalg.solve_triangular(L2, M[:, :m, m:], upper=False)
             T[pending] = torch.where(sound[:, None, None], T[pending] @ L2, T[pending])
@@ -163,7 +164,7 @@ class Evaluator:
             pending = pending[sound & ~done]
             if not len(pending):
                 break
-        sigma = torch.linalg.svdvals(T)
+        sigma = singular_values(T)
         deficient = sigma[:, -1] <= cutoff(n, m) * sigma[:, 0]
         deficient[torch.cat([*lost, pending])] = True
         index = torch.nonzero(deficient).flatten()
@@ -206,3 +207,16 @@ def cholesky(G: Tensor) -> tuple[Tensor, Tensor]:
     L, info = torch.linalg.cholesky_ex(G)
     sound = (info == 0) & torch.isfinite(L).flatten(1).all(1)
     return torch.where(sound[:, None, None], L, torch.eye(G.shape[-1], dtype=G.dtype, device=G.device)), sound
+
+
+def singular_values(A: Tensor) -> Tensor:
+    """Singular values [p, m], falling, of finite A [p, m, m]; LAPACK takes one at a time, so threads share them."""
+    if A.is_cuda:
+        return torch.linalg.svdvals(A)
+    out = torch.empty_like(A[..., 0])
+
+    def work(begin: int, end: int) -> None:
+        out[begin:end] = torch.linalg.svdvals(A[begin:end])
+
+    run_in_slices(work, len(A))
+    return out

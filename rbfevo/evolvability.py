@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from rbfevo.deformation import RBFDeformation
+from rbfevo.threads import run_in_slices
 
 EPS = torch.finfo(torch.float64).eps
 
@@ -88,10 +89,14 @@ def score(deformation: RBFDeformation, centers: Tensor, gradient: Tensor, weight
 
     Non-finite setups fail; a rank below m has R = 0; a direct setup with singular Psi has R = 0, and V and P of Phi.
     """
-    flat = centers.reshape(-1, *centers.shape[-2:])
+    flat = centers.detach().reshape(-1, *centers.shape[-2:])
     columns = torch.zeros(4, flat.shape[0], dtype=centers.dtype, device=centers.device)
-    for i, setup in enumerate(flat):
-        columns[:, i] = torch.stack(_score_one(deformation, setup, gradient, weights))
+
+    def work(begin: int, end: int) -> None:
+        for i in range(begin, end):
+            columns[:, i] = torch.stack(_score_one(deformation, flat[i], gradient, weights))
+
+    run_in_slices(work, len(flat))
     regularity, potential, variability, failed = columns.reshape(4, *centers.shape[:-2])
     return Scores(regularity, potential, variability, failed > 0)
 

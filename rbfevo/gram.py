@@ -7,7 +7,6 @@ import importlib
 import itertools
 import types
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import torch
 from torch import Tensor
@@ -15,6 +14,7 @@ from torch import Tensor
 from rbfevo.blocks import VertexBlocks, vertex_blocks
 from rbfevo.errors import UserError
 from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
+from rbfevo.threads import run_in_slices
 
 BACKENDS = ("auto", "fused", "eager")
 FUSED_BLOCK = 1024  # m = 25 rows of 1024 float64 are 200 KiB: half of a usual second-level cache
@@ -29,11 +29,6 @@ def _fused() -> types.ModuleType | None:
         return importlib.import_module("rbfevo.fused")
     except (ImportError, RuntimeError, OSError):
         return None
-
-
-@functools.cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="rbfevo")
 
 
 class GramAccumulator:
@@ -75,7 +70,7 @@ class GramAccumulator:
 
     def __call__(self, centers: Tensor, factor: Tensor | None = None) -> Tensor:
         """M [p, m+k, m+k] for finite centers [p, m, d] and, if given, factors T [p, m, m]."""
-        return (self._run_fused if self.backend == "fused" else self._run_eager)(centers.contiguous(), factor)
+        return (self._run_fused if self.backend == "fused" else self._run_eager)(centers.detach().contiguous(), factor)
 
     def backward(self, centers: Tensor, dM: Tensor) -> Tensor:
         """Gradient [p, m, d] in the centers of a function of M [p, m+k, m+k] with gradient `dM`, blocks recomputed.
@@ -85,7 +80,7 @@ class GramAccumulator:
         m = centers.shape[1]
         S = dM + dM.mT
         run = self._backward_fused if self.backend == "fused" else self._backward_eager
-        return run(centers.contiguous(), S[:, :m, :m].contiguous(), S[:, :m, m:].contiguous())
+        return run(centers.detach().contiguous(), S[:, :m, :m].contiguous(), S[:, :m, m:].contiguous())
 
     def _backward_fused(self, centers: Tensor, dG: Tensor, db: Tensor) -> Tensor:
         fused = _fused()
@@ -106,22 +101,20 @@ class GramAccumulator:
     def _backward_eager(self, centers: Tensor, dG: Tensor, db: Tensor) -> Tensor:
         b = self.blocks
         out = torch.zeros_like(centers)
-        for chunk in self._chunks(centers):
-            C = centers[chunk]
-            for begin, end in itertools.pairwise(b.starts.tolist()):
-                X, W = b.X[:, begin:end], b.W[begin:end]
-                r = distances(C, X.T)
-                H = dG[chunk] @ (self.kernel(r) * W) + db[chunk] @ b.g[:, begin:end]
-                H = H * self.kernel.slope(r) * W
-                out[chunk] += H.sum(2, keepdim=True) * C - H @ X.T
-        return out
+        starts = b.starts.tolist()
 
-    def _chunks(self, centers: Tensor) -> list[slice]:
-        """Slices of the population whose rows over one block fit the memory that an eager step may take."""
-        p, m, _ = centers.shape
-        size = 8 * (m + self.blocks.g.shape[0]) * self.size
-        step = max(1, EAGER_BYTES.get(centers.device.type, 1 << 18) // size)
-        return [slice(first, first + step) for first in range(0, p, step)]
+        def work(first: int, last: int) -> None:
+            for chunk in self._chunks(centers, first, last):
+                C = centers[chunk]
+                for begin, end in itertools.pairwise(starts):
+                    X, W = b.X[:, begin:end], b.W[begin:end]
+                    r = distances(C, X.T)
+                    H = dG[chunk] @ (self.kernel(r) * W) + db[chunk] @ b.g[:, begin:end]
+                    H = H * self.kernel.slope(r) * W
+                    out[chunk] += H.sum(2, keepdim=True) * C - H @ X.T
+
+        self._in_slices(work, len(centers), centers)
+        return out
 
     def _run_fused(self, centers: Tensor, factor: Tensor | None) -> Tensor:
         fused = _fused()
@@ -150,18 +143,35 @@ class GramAccumulator:
         k = b.g.shape[0]
         M = torch.zeros(p, m + k, m + k, dtype=centers.dtype, device=centers.device)
         starts = b.starts.tolist()
-        for chunk in self._chunks(centers):
-            for begin, end in itertools.pairwise(starts):
-                rows = self.kernel(distances(centers[chunk], b.X[:, begin:end].T)) * b.W[begin:end]
-                if factor is not None:
-                    rows = torch.linalg.solve_triangular(factor[chunk], rows, upper=False)
-                rows = torch.cat((rows, b.g[:, begin:end].expand(len(rows), -1, -1)), dim=1)
-                if rows.is_cuda:
-                    M[chunk].baddbmm_(rows, rows.mT)
-                    continue
-                for target, row in zip(M[chunk], rows, strict=True):  # a batched product rounds by the batch's size
-                    target.addmm_(row, row.mT)
+
+        def work(first: int, last: int) -> None:
+            for chunk in self._chunks(centers, first, last):
+                for begin, end in itertools.pairwise(starts):
+                    rows = self.kernel(distances(centers[chunk], b.X[:, begin:end].T)) * b.W[begin:end]
+                    if factor is not None:
+                        rows = torch.linalg.solve_triangular(factor[chunk], rows, upper=False)
+                    rows = torch.cat((rows, b.g[:, begin:end].expand(len(rows), -1, -1)), dim=1)
+                    if rows.is_cuda:
+                        M[chunk].baddbmm_(rows, rows.mT)
+                        continue
+                    for target, row in zip(M[chunk], rows, strict=True):  # a batched product rounds by its size
+                        target.addmm_(row, row.mT)
+
+        self._in_slices(work, p, centers)
         return M
+
+    def _chunks(self, centers: Tensor, first: int, last: int) -> list[slice]:
+        """Slices of the population from first to last whose rows over one block fit an eager step's memory."""
+        size = 8 * (centers.shape[1] + self.blocks.g.shape[0]) * self.size
+        step = max(1, EAGER_BYTES.get(centers.device.type, 1 << 18) // size)
+        return [slice(begin, min(begin + step, last)) for begin in range(first, last, step)]
+
+    @staticmethod
+    def _in_slices(work: Callable[[int, int], None], count: int, centers: Tensor) -> None:
+        if centers.is_cuda:
+            work(0, count)
+        else:
+            run_in_slices(work, count)
 
 
 def kernel_columns(vertices: Tensor, kernel: Kernel) -> Callable[[Tensor], Tensor]:
@@ -191,15 +201,3 @@ def _fused_code(vertices: Tensor, kernel: Kernel) -> int | None:
     fits = vertices.device.type == "cpu" and vertices.dtype == torch.float64 and vertices.shape[1] in (2, 3)
     code = {Wendland: 0, ThinPlate: 1, Cubic: 2}.get(type(kernel))
     return code if fits and _fused() is not None else None
-
-
-def run_in_slices(work, count: int) -> None:
-    """Call work(begin, end) on slices of range(count), on as many threads as torch uses."""
-    threads = torch.get_num_threads()
-    if threads == 1 or count == 1:
-        work(0, count)
-        return
-    step = max(1, -(-count // (4 * threads)))
-    futures = [_pool(threads).submit(work, i, min(i + step, count)) for i in range(0, count, step)]
-    for future in futures:
-        future.result()

@@ -21,6 +21,7 @@ from rbfevo.methods.stage import Method, Problem, Record, Rows, no_preference, r
 from rbfevo.pareto import hypervolume
 from rbfevo.progress import Reporter
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.threads import coarse
 
 # Below this many evaluations times vertices, plain torch is done before numba has compiled for the first time (8 s).
 COMPILE_FROM = 10_000_000
@@ -89,6 +90,7 @@ class Run:
         self.warnings: list[str] = []
         self.seconds = 0.0
         self.stop_reason = "budget"
+        self.threads = torch.get_num_threads()
 
     def search(self, reporter: Reporter, interruption: Interruption) -> None:
         """Run the methods one after the other, until they are done or interrupted; what they find is kept."""
@@ -171,7 +173,7 @@ class Run:
             "hypervolume": volume,
             "stop_reason": self.stop_reason,
             "evaluator": self.evaluator.backend,
-            "threads": torch.get_num_threads(),
+            "threads": self.threads,
             "gradient_norm": self.scenario.gradient_norm,
             "notes": self.scenario.notes,
             "warnings": self.warnings,
@@ -201,8 +203,9 @@ def carry_out(settings: Settings, directory: Path) -> int:
         UserError: for a user's mistake; what had been found by then is written all the same.
     """
     storage.refuse_results(directory)
-    with Interruption() as interruption:
+    with Interruption() as interruption, coarse() as threads:
         run = Run(settings)
+        run.threads = threads
         reporter = Reporter(run.planned, settings.quiet)
         for note in run.scenario.notes.values():
             reporter.line(note)

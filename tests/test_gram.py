@@ -15,6 +15,7 @@ from rbfevo.blocks import vertex_blocks
 from rbfevo.errors import UserError
 from rbfevo.gram import GramAccumulator
 from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
+from rbfevo.threads import run_in_slices
 
 backends = pytest.mark.parametrize("backend", ["fused", "eager"])
 pairs = pytest.mark.parametrize(("design", "kernel"), PAIRS)
@@ -249,4 +250,4 @@ def test_a_worker_threads_error_is_not_lost() -> None:
 
     torch.set_num_threads(2)
     with pytest.raises(RuntimeError, match="lost"):
-        gram.run_in_slices(work, 100)
+        run_in_slices(work, 100)
