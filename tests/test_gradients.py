@@ -27,6 +27,12 @@ def setups(evaluate: Evaluator, *shape: int) -> torch.Tensor:
     return (vertices[picked].reshape(*shape, -1) + 0.03 * noise).requires_grad_()
 
 
+def total(evaluate: Evaluator, centers: torch.Tensor) -> torch.Tensor:
+    """The sum of all scores."""
+    regularity, potential = differentiable_scores(evaluate, centers)
+    return regularity.sum() + potential.sum()
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("manipulation", ["indirect", "direct"])
 @pytest.mark.parametrize(("design", "kernel"), PAIRS)
@@ -58,8 +64,8 @@ def test_backends_agree_and_a_batch_is_a_loop(design: str, kernel: str, manipula
         evaluate = evaluator(design, kernel, manipulation, backend)
         centers = setups(evaluate, 3, 5)
         for pieces in ([centers], centers.split(1)):
-            total = sum(sum(score.sum() for score in differentiable_scores(evaluate, part)) for part in pieces)
-            gradients.append(torch.autograd.grad(torch.as_tensor(total), centers)[0])
+            value = torch.stack([total(evaluate, part) for part in pieces]).sum()
+            gradients.append(torch.autograd.grad(value, centers)[0])
     for other in gradients[1:]:
         torch.testing.assert_close(other, gradients[0], rtol=1e-8, atol=1e-10)
 
@@ -80,7 +86,7 @@ def test_degenerate_setups_have_finite_gradients_and_leave_the_others_alone(
     lost = sound.clone()
     lost[3, 0] = torch.nan
     alone = sound.clone().requires_grad_()
-    expected = torch.autograd.grad(sum(score.sum() for score in differentiable_scores(evaluate, alone)), alone)[0]
+    expected = torch.autograd.grad(total(evaluate, alone), alone)[0]
     batch = torch.stack([on_vertices, coincident, sound, away, lost]).requires_grad_()
     regularity, potential = differentiable_scores(evaluate, batch)
     gradient = torch.autograd.grad(regularity.sum() + potential.sum(), batch)[0]
