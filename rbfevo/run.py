@@ -96,8 +96,7 @@ class Run:
         """Run the methods one after the other, until they are done or interrupted; what they find is kept."""
         start = time.perf_counter()
         try:
-            initial = self._initial()
-            problem = self._problem(initial)
+            problem = self.problem()
             for stage in self.stages:
                 self._stage(stage, problem, start, reporter, interruption)
         finally:
@@ -138,7 +137,8 @@ class Run:
     def _stream(self, name: str) -> torch.Generator:
         return random_stream(self.settings.seed, name, self.scenario.vertices.device)
 
-    def _problem(self, initial: Rows) -> Problem:
+    def problem(self) -> Problem:
+        """What the methods are given; draws and scores the initial population."""
         return Problem(
             evaluate=self.evaluator,
             lower=self.scenario.lower,
@@ -146,7 +146,7 @@ class Run:
             centers=self.settings.centers,
             stream=self._stream,
             preferences=self.settings.preferences,
-            initial=initial,
+            initial=self._initial(),
             scenario=self.scenario,
             kernel=self.kernel,
         )

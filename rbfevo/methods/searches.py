@@ -41,7 +41,7 @@ class Nsga2Search(Method):
         lower, upper = problem.flat_box
         self._problem = problem
         start = problem.initial.centers[: self.population]
-        self._algorithm = NSGA2(
+        self.algorithm = NSGA2(
             start.flatten(1),
             lower,
             upper,
@@ -51,19 +51,19 @@ class Nsga2Search(Method):
             mutation_probability=self.mutation_probability,
             mutation_eta=self.mutation_eta,
         )
-        self._algorithm.ask()
-        self._algorithm.tell(problem.initial.scores.objectives[: self.population])
+        self.algorithm.ask()
+        self.algorithm.tell(problem.initial.scores.objectives[: self.population])
 
     def step(self) -> None:
-        centers = self._problem.unflatten(self._algorithm.ask())
-        self._algorithm.tell(self._problem.evaluate(centers).objectives)
+        centers = self._problem.unflatten(self.algorithm.ask())
+        self.algorithm.tell(self._problem.evaluate(centers).objectives)
 
     def progress(self) -> list[tuple[float, Tensor]]:
-        return [(math.nan, self._algorithm.objectives)]
+        return [(math.nan, self.algorithm.objectives)]
 
     def rows(self) -> list[Rows]:
-        centers = self._problem.unflatten(self._algorithm.population)
-        return [no_preference(self.name, centers, unscored(centers, self._algorithm.objectives))]
+        centers = self._problem.unflatten(self.algorithm.population)
+        return [no_preference(self.name, centers, unscored(centers, self.algorithm.objectives))]
 
 
 class CmaesSearch(Method):

@@ -1,0 +1,165 @@
+"""The owner of NSGA-II's reference fronts: computes what is not there yet, goes on where it was stopped.
+
+`benchmarks/fronts/PANEL-seedS-E.csv` is the front after E evaluations, `PANEL-seedS.npz` the search's whole state, from
+which a larger budget goes on bit for bit. The search is `python -m rbfevo ... method=nsga2 seed=S`, step for step.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import platform
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from benchmarks.panels import Panel, chosen
+from rbfevo import storage
+from rbfevo.errors import UserError
+from rbfevo.methods.searches import Nsga2Search
+from rbfevo.pareto import hypervolume, nondominated
+from rbfevo.run import Run
+from rbfevo.threads import coarse
+
+DIRECTORY = Path(__file__).parent / "fronts"
+HISTORY_EVERY = 50  # generations
+SAVE_EVERY = 30.0  # seconds
+HISTORY = ("generation", "evaluations", "hypervolume", "best_regularity", "best_improvement_potential")
+
+
+class Reference:
+    """NSGA-II on one panel, with a state on disk."""
+
+    def __init__(self, panel: Panel, seed: int, directory: Path = DIRECTORY) -> None:
+        self.panel, self.seed, self.directory = panel, seed, directory
+        self.path = directory / f"{panel.name}-seed{seed}.npz"
+        self.seconds = self.cpu_seconds = 0.0
+        self.failed = 0
+        self.history: list[tuple[float, ...]] = []
+
+    def csv(self, evaluations: int) -> Path:
+        """Where the front after so many evaluations lies."""
+        return self.directory / f"{self.panel.name}-seed{self.seed}-{evaluations}.csv"
+
+    def compute(self, generations: int, say: Any = print) -> None:
+        """Run until `generations` are done and write the front; a search on disk is continued."""
+        with coarse() as threads:
+            run = Run(self.panel.settings("method=nsga2", f"method.generations={generations}", f"seed={self.seed}"))
+            (search,) = run.stages
+            if not isinstance(search, Nsga2Search):
+                raise UserError("method=nsga2 is no NSGA-II")
+            search.start(run.problem())
+            done = self._load(search)
+            evaluations = (done + 1) * search.population
+            begin, cpu, saved = time.perf_counter(), time.process_time(), time.perf_counter()
+            before = self.seconds, self.cpu_seconds, self.failed - run.evaluator.failed_evaluations
+            for generation in range(done + 1, generations + 1):
+                search.step()
+                evaluations = (generation + 1) * search.population
+                now = time.perf_counter()
+                self.seconds, self.cpu_seconds = before[0] + now - begin, before[1] + time.process_time() - cpu
+                self.failed = before[2] + run.evaluator.failed_evaluations
+                if generation % HISTORY_EVERY == 0 or generation == generations:
+                    objectives = search.algorithm.objectives
+                    best = objectives.amax(0).tolist()
+                    self.history.append((generation, evaluations, hypervolume(objectives), *best))
+                if now - saved > SAVE_EVERY:
+                    self._save(search)
+                    saved = now
+            self._save(search)
+            self._write(search, run, evaluations, threads)
+        line = self.history[-1]
+        say(f"{self.panel.name}: hypervolume {line[2]:.6f}, best R {line[3]:.6f}, best P {line[4]:.6f}, "
+            f"{evaluations} evaluations, {self.seconds:.0f} s, {self.cpu_seconds:.0f} s of processor")  # fmt: skip
+
+    def _save(self, search: Nsga2Search) -> None:
+        state = search.algorithm.state_dict()
+        arrays = {name: np.asarray(value) for name, value in state.items()}
+        arrays |= {
+            "history": np.array(self.history),
+            "spent": np.array([self.seconds, self.cpu_seconds, float(self.failed)]),
+        }
+        storage.write_whole(self.path, storage.npz(arrays))
+
+    def _load(self, search: Nsga2Search) -> int:
+        """Generations done, 0 where nothing is on disk."""
+        if not self.path.exists():
+            return 0
+        with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as file:
+            arrays = dict(file)
+        names = ("population", "objectives", "asked", "generator")
+        search.algorithm.load_state_dict(
+            {name: torch.from_numpy(arrays[name]) for name in names} | {"generation": int(arrays["generation"])}
+        )
+        self.history = [tuple(line) for line in arrays["history"].tolist()]
+        self.seconds, self.cpu_seconds, failed = arrays["spent"].tolist()
+        self.failed = int(failed)
+        return search.algorithm.generation - 1  # the initial population is the first that is told
+
+    def _write(self, search: Nsga2Search, run: Run, evaluations: int, threads: int) -> None:
+        # The scores of the definition, as in a run directory.
+        centers = search.rows()[0].centers
+        objectives = run.evaluator.definition(centers).objectives
+        objectives = objectives[nondominated(objectives)]
+        order = objectives[:, 0].argsort()
+        facts = {
+            "panel": self.panel.name,
+            "method": "nsga2",
+            "seed": self.seed,
+            "generations": search.algorithm.generation - 1,
+            "evaluations": evaluations,
+            "failed_evaluations": self.failed,
+            "seconds": round(self.seconds, 1),
+            "processor_seconds": round(self.cpu_seconds, 1),
+            "threads": threads,
+            "evaluator": run.evaluator.backend,
+            "torch": torch.__version__,
+            "machine": platform.machine(),
+            "hypervolume": hypervolume(objectives),
+        }
+        head = "".join(f"# {name}: {value}\n" for name, value in facts.items()).encode()
+        table = storage.csv_text(("regularity", "improvement_potential"), objectives[order].tolist())
+        storage.write_whole(self.csv(evaluations), head + table)
+
+
+def reference_front(panel: Panel, evaluations: int, seed: int = 0, directory: Path = DIRECTORY) -> torch.Tensor:
+    """The committed front [p, 2] of regularity and improvement potential.
+
+    Raises:
+        UserError: if it has not been computed.
+    """
+    path = Reference(panel, seed, directory).csv(evaluations)
+    if not path.exists():
+        raise UserError(f"{path} is missing: compute it with scripts/fronts {panel.name}")
+    return torch.from_numpy(np.loadtxt(path, delimiter=",", skiprows=_header(path), ndmin=2))
+
+
+def _header(path: Path) -> int:
+    return sum(line.startswith("#") for line in path.read_text().splitlines()) + 1
+
+
+def main() -> int:
+    """Compute the fronts that are missing."""
+    parser = argparse.ArgumentParser(prog="scripts/fronts", description=__doc__)
+    parser.add_argument("panels", nargs="*", help="panels, or parts of their names; all twelve if none is given")
+    parser.add_argument("--generations", type=int, default=2499, help="2499 are 250,000 evaluations (the default)")
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    DIRECTORY.mkdir(exist_ok=True)
+    try:
+        for panel in chosen(arguments.panels):
+            reference = Reference(panel, arguments.seed)
+            if not reference.csv((arguments.generations + 1) * 100).exists():
+                reference.compute(arguments.generations, lambda line: print(line, flush=True))
+    except UserError as error:
+        print(f"scripts/fronts: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
