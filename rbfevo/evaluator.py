@@ -8,6 +8,8 @@ al. 2020), and those that stay numerically rank-deficient a blocked Householder 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -20,6 +22,25 @@ from rbfevo.threads import run_in_slices
 
 TRIGGER = 3e-5  # below this R(Phi), G has lost too many digits: eps / TRIGGER^2 is 2e-7
 QR_ROWS = 4096
+
+
+class Factors(NamedTuple):
+    """What one or more passes leave of setups [p, m, d]: with Phi = Q T^T, everything that scores are made of.
+
+    Attributes:
+        T: [p, m, m] lower triangular, T T^T = G; columns that no vertex feels have a diagonal of their own.
+        y: [p, m, k] T^-1 b; means nothing where `deficient`.
+        potential: [p] P, maximized; sigma: [p, m] singular values of Phi, falling; rank: [p].
+        usable: [p] finite setups with a finite G; deficient: [p] numerically rank-deficient ones.
+    """
+
+    T: Tensor
+    y: Tensor
+    potential: Tensor
+    sigma: Tensor
+    rank: Tensor
+    usable: Tensor
+    deficient: Tensor
 
 
 class Evaluator:
@@ -92,8 +113,8 @@ class Evaluator:
         regularity, potential, variability = (c.reshape(centers.shape[:-2]) for c in columns)
         return Scores(regularity, potential, variability, failed.reshape(centers.shape[:-2]))
 
-    def _score(self, setups: Tensor, finite: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """R, P and rank [p] of setups [p, m, d]; NaN where a setup is not usable."""
+    def factors(self, setups: Tensor, finite: Tensor) -> Factors:
+        """Triangular factors of finite setups [p, m, d]; those that are not usable get an identity."""
         m = setups.shape[1]
         M = self.gram(setups)
         usable = finite & torch.isfinite(M).flatten(1).all(1)
@@ -101,18 +122,28 @@ class Evaluator:
         G, b = M[:, :m, :m], M[:, :m, m:]
         G, empty = decoupled(G)
         L, sound = cholesky(G)
-        potential = torch.linalg.solve_triangular(L, b, upper=False).square().sum((1, 2))
+        y = torch.linalg.solve_triangular(L, b, upper=False)
+        potential = y.square().sum((1, 2))
         rank = m - empty.sum(1)
         sigma = singular_values(L)
+        deficient = torch.zeros_like(usable)
         index = torch.nonzero(usable & ~(sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0]))).flatten()
         if len(index):
             self.further_passes += len(index)
-            L[index], potential[index], rank[index] = self._refine(
+            L[index], y[index], potential[index], rank[index], deficient[index] = self._refine(
                 setups[index], G[index], L[index], sound[index], empty[index]
             )
             sigma[index] = singular_values(L[index])
+        return Factors(L, y, potential, sigma, rank, usable, deficient)
+
+    def _score(self, setups: Tensor, finite: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """R, P and rank [p] of setups [p, m, d]; NaN where a setup is not usable."""
+        m = setups.shape[1]
+        L, _, potential, sigma, rank, usable, _ = self.factors(setups, finite)
         if self.deformation.manipulation == "direct":
-            regularity = self._direct(setups, L)
+            solution, _, lost = self.direct(setups, L)
+            sigma = singular_values(solution)
+            regularity = torch.where(lost, 0.0, sigma[:, -1] / sigma[:, 0])
         else:
             regularity = sigma[:, -1] / sigma[:, 0]
         regularity = torch.where(rank == m, regularity, 0.0)
@@ -126,8 +157,11 @@ class Evaluator:
             rank[index] = (exact.variability * self.deformation.vertices.shape[0]).round().to(rank.dtype)
         return regularity, potential, rank
 
-    def _direct(self, setups: Tensor, L: Tensor) -> Tensor:
-        """R [p] of Phi Psi^-1, whose singular values are those of L^T Psi^-1; 0 where Psi is singular."""
+    def direct(self, setups: Tensor, L: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Psi^-1 L [p, m, m], whose singular values are those of Phi Psi^-1, Psi^-1, and where Psi is singular [p].
+
+        Where it is, both matrices are the identity.
+        """
         m = setups.shape[1]
         kernel = self.deformation.kernel
         Psi = kernel(distances(setups, setups))
@@ -135,19 +169,19 @@ class Evaluator:
         LU, pivots, _ = torch.linalg.lu_factor_ex(Psi)
         solution = torch.linalg.lu_solve(LU, pivots, torch.cat((L, identity.expand_as(L)), dim=2))  # Psi = Psi^T
         lost = singular(Psi, solution[:, :, m:]) | ~torch.isfinite(solution).flatten(1).all(1)
-        sigma = singular_values(torch.where(lost[:, None, None], identity, solution[:, :, :m]))
-        return torch.where(lost, 0.0, sigma[:, -1] / sigma[:, 0])
+        solution = torch.where(lost[:, None, None], torch.cat((identity, identity), dim=1), solution)
+        return solution[:, :, :m], solution[:, :, m:], lost
 
     def _refine(
         self, setups: Tensor, G: Tensor, L: Tensor, sound: Tensor, empty: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Triangular factor, P and rank of ill-conditioned setups by CholeskyQR2, or by QR where that fails."""
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Triangular factor T, T^-1 b, P, rank and deficiency of ill-conditioned setups by CholeskyQR2, else by QR."""
         (n, _), m = self.deformation.vertices.shape, setups.shape[1]
         identity = torch.eye(m, dtype=G.dtype, device=G.device)
         shift = 11.0 * (m * n + m * (m + 1)) * EPS * G.diagonal(dim1=1, dim2=2).sum(1)
         shifted, _ = cholesky(G + shift[:, None, None] * identity)
         T = torch.where(sound[:, None, None], L, shifted)
-        potential = torch.zeros_like(T[:, 0, 0])
+        y = torch.zeros(len(T), m, self.gradient.shape[1], dtype=T.dtype, device=T.device)
         rank = m - empty.sum(1)
         pending = torch.arange(len(T), device=T.device)
         lost: list[Tensor] = []
@@ -157,13 +191,13 @@ class Evaluator:
             L2, sound = cholesky(M[:, :m, :m] + torch.diag_embed(empty[pending].to(M.dtype)))
             sigma = singular_values(L2)
             done = sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0])
-            y = torch.linalg.solve_triangular(L2, M[:, :m, m:], upper=False)
             T[pending] = torch.where(sound[:, None, None], T[pending] @ L2, T[pending])
-            potential[pending] = y.square().sum((1, 2))
+            y[pending] = torch.linalg.solve_triangular(L2, M[:, :m, m:], upper=False)
             lost.append(pending[~sound])
             pending = pending[sound & ~done]
             if not len(pending):
                 break
+        potential = y.square().sum((1, 2))
         sigma = singular_values(T)
         deficient = sigma[:, -1] <= cutoff(n, m) * sigma[:, 0]
         deficient[torch.cat([*lost, pending])] = True
@@ -171,7 +205,7 @@ class Evaluator:
         if len(index):
             self.factorizations += len(index)
             T[index], potential[index], rank[index] = self._factorize(setups[index])
-        return T, potential, rank
+        return T, y, potential, rank, deficient
 
     def _factorize(self, setups: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Triangular factor, P and rank by blocked Householder QR of (Phi g), as good as an SVD of Phi."""

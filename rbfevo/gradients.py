@@ -1,4 +1,10 @@
-"""Gradients in the centers: custom backward passes that recompute the blocks instead of storing them."""
+"""Singular values and improvement potential with closed-form gradients in the centers; blocks are recomputed.
+
+With Phi = Q T^T, y = Q^T g and U^T U = V diag(sigma^2) V^T, everything but two passes over the vertices is m x m:
+d log sigma_i = (Phi z_i)^T dPhi z_i / sigma_i^2 - v_i^T dPsi z_i with z_i = v_i (indirect) or Psi^-1 v_i (direct), and
+dP = 2 <(g - Phi w) w^T, dPhi> with w = T^-T y. Ill-conditioned setups use the factor of their further passes, so that
+gradients stay as accurate as the scores.
+"""
 
 from __future__ import annotations
 
@@ -7,69 +13,101 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from rbfevo.evaluator import Evaluator, cholesky, decoupled
-from rbfevo.evolvability import singular
-from rbfevo.gram import GramAccumulator
-from rbfevo.kernels import Kernel, distances
+from rbfevo.evaluator import Evaluator
+from rbfevo.kernels import distances
+from rbfevo.threads import run_in_slices
 
 
-class _Gram(torch.autograd.Function):
-    """M [p, m+k, m+k] of `GramAccumulator`, differentiable in the centers at about three times the forward cost."""
+class Spectrum:
+    """Singular values of U and improvement potential of setups, ready for gradients.
+
+    Attributes:
+        sigma: [p, m], falling; ones where a setup has no regularity (rank below m, singular Psi, not finite).
+        regular: [p] whether it has one; potential: [p] P, maximized, 0 where a setup is not finite.
+        improvable: [p] whether P has a gradient (the setup is finite and not numerically rank-deficient).
+    """
+
+    @torch.no_grad()
+    def __init__(self, evaluator: Evaluator, centers: Tensor) -> None:
+        """Take centers [p, m, d]; any values."""
+        finite = torch.isfinite(centers).flatten(1).all(1)
+        self.evaluator = evaluator
+        self.centers = torch.where(finite[:, None, None], centers.detach(), 0.0)
+        T, self._y, potential, _, rank, usable, deficient = evaluator.factors(self.centers, finite)
+        m = centers.shape[1]
+        self._T, self._inverse = T, None
+        self.improvable = usable & ~deficient
+        self.potential = torch.where(usable, potential.clamp(0.0, 1.0), 0.0)
+        self.regular = self.improvable & (rank == m)
+        if evaluator.deformation.manipulation == "direct":
+            T, self._inverse, lost = evaluator.direct(self.centers, T)
+            self.regular &= ~lost
+        identity = torch.eye(m, dtype=T.dtype, device=T.device)
+        self._V, self.sigma = _left_singular(torch.where(self.regular[:, None, None], T, identity))
+
+    @property
+    def regularity(self) -> Tensor:
+        """R [p], maximized; 0 where there is none."""
+        return torch.where(self.regular, self.sigma[:, -1] / self.sigma[:, 0], 0.0)
+
+    @torch.no_grad()
+    def backward(self, dlog_sigma: Tensor, dpotential: Tensor) -> Tensor:
+        """Gradient [p, m, d] in the centers of a function with gradients [p, m] in log sigma and [p] in P.
+
+        Finite for every setup; 0 where the setup has no regularity or is not improvable.
+        """
+        m, k = self.centers.shape[1], self._y.shape[2]
+        dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
+        dpotential = torch.where(self.improvable, dpotential, 0.0)[:, None, None]
+        w = torch.linalg.solve_triangular(self._T.mT, self._y, upper=True)
+        Z = self._V if self._inverse is None else self._inverse @ self._V
+        dM = torch.zeros(len(Z), m + k, m + k, dtype=Z.dtype, device=Z.device)
+        dM[:, :m, :m] = 0.5 * (Z * (dlog_sigma / self.sigma.square())[:, None, :]) @ Z.mT - dpotential * (w @ w.mT)
+        dM[:, :m, m:] = 2.0 * dpotential * w
+        gradient = self.evaluator.gram.backward(self.centers, dM)
+        if self._inverse is not None:
+            dPsi = -(self._V * dlog_sigma[:, None, :]) @ Z.mT
+            H = (dPsi + dPsi.mT) * self.evaluator.deformation.kernel.slope(distances(self.centers, self.centers))
+            gradient += H.sum(2, keepdim=True) * self.centers - H @ self.centers
+        return torch.where(torch.isfinite(gradient).flatten(1).all(1)[:, None, None], gradient, 0.0)
+
+
+def _left_singular(A: Tensor) -> tuple[Tensor, Tensor]:
+    """Left singular vectors [p, m, m] and values [p, m], falling, of finite A [p, m, m]."""
+    if A.is_cuda:
+        return torch.linalg.svd(A)[:2]
+    vectors, values = torch.empty_like(A), torch.empty_like(A[..., 0])
+
+    def work(begin: int, end: int) -> None:
+        vectors[begin:end], values[begin:end] = torch.linalg.svd(A[begin:end])[:2]
+
+    run_in_slices(work, len(A))
+    return vectors, values
+
+
+class _Scores(torch.autograd.Function):
+    """R and P [p] of centers [p, m, d]."""
 
     @staticmethod
-    def forward(ctx: Any, centers: Tensor, gram: GramAccumulator) -> Tensor:
-        ctx.save_for_backward(centers)
-        ctx.gram = gram
-        return gram(centers)
+    def forward(ctx: Any, centers: Tensor, evaluator: Evaluator) -> tuple[Tensor, Tensor]:
+        ctx.spectrum = Spectrum(evaluator, centers)
+        return ctx.spectrum.regularity, ctx.spectrum.potential
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
-        (centers,) = ctx.saved_tensors
-        return ctx.gram.backward(centers, grads[0]), None
-
-
-class _Psi(torch.autograd.Function):
-    """Psi [p, m, m]; autograd through the square root of a zero distance would give NaN on the diagonal."""
-
-    @staticmethod
-    def forward(ctx: Any, centers: Tensor, kernel: Kernel) -> Tensor:
-        ctx.save_for_backward(centers)
-        ctx.kernel = kernel
-        return kernel(distances(centers, centers))
-
-    @staticmethod
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
-        (centers,) = ctx.saved_tensors
-        H = (grads[0] + grads[0].mT) * ctx.kernel.slope(distances(centers, centers))
-        return H.sum(2, keepdim=True) * centers - H @ centers, None
+        spectrum: Spectrum = ctx.spectrum
+        dlog_sigma = torch.zeros_like(spectrum.sigma)
+        dlog_sigma[:, -1] += grads[0] * spectrum.regularity
+        dlog_sigma[:, 0] -= grads[0] * spectrum.regularity
+        return spectrum.backward(dlog_sigma, grads[1]), None
 
 
 def differentiable_scores(evaluator: Evaluator, centers: Tensor) -> tuple[Tensor, Tensor]:
     """Regularity and improvement potential [*pop] of centers [*pop, m, d], both maximized and differentiable in them.
 
-    One pass without refinement: where R(Phi) is below `rbfevo.evaluator.TRIGGER` the values carry an error of about
-    eps / R(Phi)^2, so score what a search returns with the evaluator itself. Setups whose Gram matrix has no Cholesky
-    factor, or whose Psi is singular, have value 0 and gradient 0 where the score does not exist.
+    The values are the evaluator's. A setup has value 0 and gradient 0 where a score does not exist (not finite, no
+    regularity), and no gradient of P where it is numerically rank-deficient. Where sigma_min or sigma_max is multiple,
+    R has no gradient; one of its generalized gradients is returned (`Spectrum` allows smooth functions of all sigma).
     """
-    flat = centers.reshape(-1, *centers.shape[-2:])
-    m = flat.shape[1]
-    fine = torch.isfinite(flat).flatten(1).all(1)
-    flat = torch.where(fine[:, None, None], flat, 0.0)
-    M = torch.where(fine[:, None, None], _Gram.apply(flat, evaluator.gram), 0.0)
-    G, empty = decoupled(M[:, :m, :m])
-    identity = torch.eye(m, dtype=G.dtype, device=G.device)
-    with torch.no_grad():  # what has no factor must not even reach the factorization: its gradient would be NaN
-        sound = cholesky(G)[1] & fine
-    L = torch.linalg.cholesky(torch.where(sound[:, None, None], G, identity))
-    potential = torch.linalg.solve_triangular(L, M[:, :m, m:], upper=False).square().sum((1, 2))
-    factor, regular = L, sound & ~empty.any(1)
-    if evaluator.deformation.manipulation == "direct":
-        Psi = _Psi.apply(flat, evaluator.deformation.kernel)
-        with torch.no_grad():
-            lost = singular(Psi, torch.linalg.inv_ex(Psi)[0])
-        factor = torch.linalg.solve(torch.where(lost[:, None, None], identity, Psi), L)
-        regular = regular & ~lost
-    sigma = torch.linalg.svdvals(torch.where(regular[:, None, None], factor, identity))
-    regularity = torch.where(regular, sigma[:, -1] / sigma[:, 0], 0.0)
-    potential = torch.where(sound, potential, 0.0)
+    regularity, potential = _Scores.apply(centers.reshape(-1, *centers.shape[-2:]), evaluator)
     return regularity.reshape(centers.shape[:-2]), potential.reshape(centers.shape[:-2])

@@ -1,5 +1,6 @@
 """Pareto dominance: ranks, crowding distance, hypervolume and knee; every objective is maximized, NaN is worst."""
 
+import heapq
 import math
 
 import torch
@@ -140,6 +141,47 @@ def hypervolume(objectives: Tensor, reference: tuple[float, float] = (0.0, 0.0))
     height = height.cummax(0).values if len(height) else height
     width = f - torch.cat([f[1:], f.new_zeros(min(len(f), 1))])
     return float((width * height).sum())
+
+
+def well_spread(objectives: Tensor, count: int) -> Tensor:
+    """Rows of the nondominated ones that keep most of the hypervolume, from the least to the largest first objective.
+
+    The row that adds least to the hypervolume of those left is removed until `count` are left; the ends stay.
+    Duplicates count once.
+
+    Args:
+        objectives: [n, 2], maximized. Rows with a NaN are left out.
+        count: how many rows to keep at most; at least 2.
+
+    Returns:
+        [at most count] int64.
+    """
+    rows = nondominated(objectives).nonzero().squeeze(1)
+    rows = rows[objectives[rows, 0].argsort(stable=True)]
+    f = objectives[rows].tolist()
+    kept = [i for i in range(len(f)) if i == 0 or f[i] != f[i - 1]]
+    if len(kept) > count:
+        before, after = dict(zip(kept[1:], kept, strict=False)), dict(zip(kept, kept[1:], strict=False))
+
+        def loss(i: int) -> float:
+            return (f[i][0] - f[before[i]][0]) * (f[i][1] - f[after[i]][1])
+
+        current = {i: loss(i) for i in kept[1:-1]}
+        heap = [(value, i) for i, value in current.items()]
+        heapq.heapify(heap)
+        while len(current) + 2 > max(count, 2):
+            value, i = heapq.heappop(heap)
+            if current.get(i) != value:  # an older entry of a row that has changed or gone
+                continue
+            del current[i]
+            left, right = before.pop(i), after.pop(i)
+            after[left], before[right] = right, left
+            for neighbour in (left, right):
+                if neighbour in current:
+                    current[neighbour] = loss(neighbour)
+                    heapq.heappush(heap, (current[neighbour], neighbour))
+        kept = [kept[0], *sorted(current), kept[-1]]
+    return rows[kept]
 
 
 def knee(objectives: Tensor) -> int:

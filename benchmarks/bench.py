@@ -1,0 +1,78 @@
+"""All figures of one machine in one run: scoring, searches and heuristics beside their floors and peers.
+
+A ratio is the median over rounds that take both sides in turn; a target that is missed changes no exit code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import torch
+
+from benchmarks import bench_heuristics, bench_memory, bench_scoring, bench_searches
+from benchmarks.bench_rows import Row, Screen, machine, record
+from rbfevo import storage
+from rbfevo.errors import UserError
+from rbfevo.threads import coarse
+
+OUTPUT = Path(__file__).parent / "bench.json"
+
+Group = Callable[[bool], Iterator[Row]]  # quick? -> its rows, one after the other
+
+GROUPS: dict[str, Group] = {
+    "scoring": bench_scoring.scoring,
+    "floor": bench_scoring.floor,
+    "gradient": bench_scoring.gradient,
+    "memory": bench_memory.memory,
+    "nsga2": bench_searches.nsga2,
+    "cmaes": bench_searches.cmaes,
+    "heuristics": bench_heuristics.heuristics,
+    "cuda": bench_scoring.cuda,
+}
+
+
+def run(groups: Sequence[str], quick: bool, screen: Screen, output: Path | None) -> list[Row]:
+    """Measure the groups, show every row as it comes, and write all of them to `output` if that is given.
+
+    Raises:
+        UserError: if the file cannot be written.
+    """
+    start, rows = time.perf_counter(), []
+    facts = machine(torch.get_num_threads())
+    with coarse():  # as a run does
+        for name in groups:
+            for row in GROUPS[name](quick):
+                rows.append(row)
+                screen.show(row)
+    seconds = time.perf_counter() - start
+    if output is not None:
+        storage.write_whole(output, record(rows, groups, quick, seconds, facts))
+    met, missed = (sum(row.met is value for row in rows) for value in (True, False))
+    place = "" if output is None else f"; {output}"
+    screen.console.print(f"{met} targets met, {missed} missed, {seconds:.0f} s{place}", markup=False)
+    return rows
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print the table and write the JSON file."""
+    parser = argparse.ArgumentParser(prog="scripts/bench", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="fewer rounds, no face where the plane will do: 3 minutes")
+    parser.add_argument("--only", nargs="+", metavar="GROUP", choices=GROUPS, help=f"of {', '.join(GROUPS)}")
+    parser.add_argument("--output", type=Path, help=f"JSON file; {OUTPUT.name} beside this module, none with --only")
+    chosen = parser.parse_args(arguments)
+    groups = [name for name in GROUPS if chosen.only is None or name in chosen.only]
+    output = chosen.output or (OUTPUT if chosen.only is None else None)
+    try:
+        run(groups, chosen.quick, Screen(), output)
+    except UserError as error:
+        print(f"scripts/bench: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
