@@ -57,6 +57,7 @@ class Evaluator:
 
     Attributes:
         evaluations: setups scored so far; failed_evaluations: those with non-finite centers or scores.
+        gradients: setups scored with a gradient (`rbfevo.gradients`), among the evaluations.
         further_passes: setups that needed more than one pass; factorizations: those that needed QR.
     """
 
@@ -74,7 +75,7 @@ class Evaluator:
         self.gradient = gradient
         self.weights = torch.ones_like(vertices[:, 0]) if weights is None else weights
         self.gram = GramAccumulator(vertices, gradient, self.weights, kernel, backend, block)
-        self.evaluations = self.failed_evaluations = self.further_passes = self.factorizations = 0
+        self.evaluations = self.failed_evaluations = self.gradients = self.further_passes = self.factorizations = 0
 
     @property
     def backend(self) -> str:

@@ -35,6 +35,8 @@ class Spectrum:
         self.centers = torch.where(finite[:, None, None], centers.detach(), 0.0)
         T, self._y, potential, _, rank, usable, deficient = evaluator.factors(self.centers, finite)
         m = centers.shape[1]
+        evaluator.evaluations += len(centers)
+        evaluator.failed_evaluations += int((~usable).sum())
         self._T, self._inverse = T, None
         self.improvable = usable & ~deficient
         self.potential = torch.where(usable, potential.clamp(0.0, 1.0), 0.0)
@@ -57,6 +59,7 @@ class Spectrum:
         Finite for every setup; 0 where the setup has no regularity or is not improvable.
         """
         m, k = self.centers.shape[1], self._y.shape[2]
+        self.evaluator.gradients += len(self.centers)
         dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
         dpotential = torch.where(self.improvable, dpotential, 0.0)[:, None, None]
         w = torch.linalg.solve_triangular(self._T.mT, self._y, upper=True)

@@ -175,7 +175,10 @@ class GramAccumulator:
 
 
 def kernel_columns(vertices: Tensor, kernel: Kernel) -> Callable[[Tensor], Tensor]:
-    """The map from centers [c, d] to their columns phi(|c_j - x_i|) [n, c], by the fastest means there is."""
+    """The map from centers [c, d] to their columns phi(|c_j - x_i|) [n, c], by the fastest means there is.
+
+    It runs on the calling thread alone: several threads may call it at once.
+    """
     code = _fused_code(vertices, kernel)
     fused = _fused()
     if code is None or fused is None:
@@ -184,13 +187,8 @@ def kernel_columns(vertices: Tensor, kernel: Kernel) -> Callable[[Tensor], Tenso
     support = kernel.support or 0.0
 
     def columns(centers: Tensor) -> Tensor:
-        C = centers.contiguous().numpy()
         out = torch.empty(len(centers), len(vertices), dtype=vertices.dtype)
-
-        def work(begin: int, end: int) -> None:
-            fused.columns(C[begin:end], X, code, support, out.numpy()[begin:end])
-
-        run_in_slices(work, len(centers))
+        fused.columns(centers.contiguous().numpy(), X, code, support, out.numpy())
         return out.T
 
     return columns

@@ -16,10 +16,12 @@ from rbfevo import figures, storage
 from rbfevo.config import Settings, build
 from rbfevo.errors import UserError
 from rbfevo.evaluator import Evaluator
+from rbfevo.gradients import Spectrum
 from rbfevo.kernels import Kernel
 from rbfevo.methods.stage import Method, Problem, Record, Rows, no_preference, random_stream
 from rbfevo.pareto import hypervolume
 from rbfevo.progress import Reporter
+from rbfevo.scenarios.coarse import coarsened, matched
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.threads import coarse
 
@@ -77,20 +79,30 @@ class Run:
         backend = settings.evaluator
         if backend == "auto" and self.planned * n < COMPILE_FROM:
             backend = "eager"
-        self.evaluator = Evaluator(
-            self.scenario.vertices,
-            self.scenario.gradient,
-            self.kernel,
-            settings.manipulation,
-            self.scenario.weights,
-            backend,
-        )
+        self._backend = backend
+        self.evaluator = self._evaluator(self.scenario)
+        self.coarse_evaluators: list[Evaluator] = []
         self.rows: list[Rows] = []
         self.history: list[Record] = []
         self.warnings: list[str] = []
         self.seconds = 0.0
         self.stop_reason = "budget"
         self.threads = torch.get_num_threads()
+
+    def _evaluator(self, scenario: Scenario) -> Evaluator:
+        """Of this run's kernel and manipulation, on a scenario's vertices."""
+        return Evaluator(
+            scenario.vertices,
+            scenario.gradient,
+            self.kernel,
+            self.settings.manipulation,
+            scenario.weights,
+            self._backend,
+        )
+
+    def total(self, counter: str) -> int:
+        """One of the evaluator's counters, coarse designs included."""
+        return sum(getattr(evaluator, counter) for evaluator in (self.evaluator, *self.coarse_evaluators))
 
     def search(self, reporter: Reporter, interruption: Interruption) -> None:
         """Run the methods one after the other, until they are done or interrupted; what they find is kept."""
@@ -111,16 +123,18 @@ class Run:
             return
         try:
             stage.start(problem)
-            kept = len(self.rows)
-            for step in range(1, stage.steps + 1):
-                stage.step()
-                self.rows[kept:] = stage.rows()
-                seconds = time.perf_counter() - start
-                records = stage.records(step, self.evaluator.evaluations, seconds, self.evaluator.failed_evaluations)
-                self.history += records
-                reporter.update(self.evaluator.evaluations, step, stage.steps, records)
-                if interruption.signal is not None:
-                    return
+            try:
+                for step in range(1, stage.steps + 1):
+                    stage.step()
+                    seconds = time.perf_counter() - start
+                    evaluations = self.total("evaluations")
+                    records = stage.records(step, evaluations, seconds, self.total("failed_evaluations"))
+                    self.history += records
+                    reporter.update(evaluations, step, stage.steps, records)
+                    if interruption.signal is not None:
+                        return
+            finally:  # what has been found is kept, whatever happens
+                self.rows += stage.rows()
         except UserError as error:
             if len(self.stages) == 1:
                 raise
@@ -139,21 +153,39 @@ class Run:
 
     def problem(self) -> Problem:
         """What the methods are given; draws and scores the initial population."""
-        return Problem(
-            evaluate=self.evaluator,
-            lower=self.scenario.lower,
-            upper=self.scenario.upper,
+        return self._problem(self.scenario, self.evaluator, self._initial())
+
+    def _problem(self, scenario: Scenario, evaluator: Evaluator, initial: Rows) -> Problem:
+        def fewer_vertices(count: int) -> Problem:
+            fewer = coarsened(scenario, count)
+            if fewer is scenario:
+                return problem
+            trial = self._evaluator(fewer)
+            potential = trial(initial.centers).improvement_potential
+            fewer = matched(fewer, potential, initial.scores.improvement_potential)
+            coarse = self._evaluator(fewer)
+            coarse.evaluations = trial.evaluations
+            self.coarse_evaluators.append(coarse)
+            return self._problem(fewer, coarse, initial)
+
+        problem = Problem(
+            evaluate=evaluator,
+            lower=scenario.lower,
+            upper=scenario.upper,
             centers=self.settings.centers,
             stream=self._stream,
             preferences=self.settings.preferences,
-            initial=self._initial(),
-            scenario=self.scenario,
+            initial=initial,
+            scenario=scenario,
             kernel=self.kernel,
+            spectrum=lambda centers: Spectrum(evaluator, centers),
+            coarsened=fewer_vertices,
         )
+        return problem
 
     def summary(self, volume: float) -> dict[str, Any]:
         """The contents of `summary.json`."""
-        evaluations = self.evaluator.evaluations
+        evaluations = self.total("evaluations")
         return {
             "scenario": self.scenario.name,
             "kernel": self.kernel.name,
@@ -165,9 +197,11 @@ class Run:
             "device": describe(self.scenario.vertices.device),
             "versions": versions(),
             "evaluations": evaluations,
-            "failed_evaluations": self.evaluator.failed_evaluations,
-            "further_passes": self.evaluator.further_passes,
-            "factorizations": self.evaluator.factorizations,
+            "failed_evaluations": self.total("failed_evaluations"),
+            "further_passes": self.total("further_passes"),
+            "factorizations": self.total("factorizations"),
+            "gradients": self.total("gradients"),
+            "coarse_vertices": [len(evaluator.deformation.vertices) for evaluator in self.coarse_evaluators],
             "seconds": self.seconds,
             "evaluations_per_second": evaluations / self.seconds if self.seconds > 0 else 0.0,
             "hypervolume": volume,

@@ -137,6 +137,14 @@ def test_results_are_never_overwritten(tmp_path: Path, capfd: pytest.CaptureFixt
         ("method=nsga2 method.generations=3 method.population=8", {"random": 8, "nsga2": 8}),
         ("method=cmaes method.generations=3 method.population=8 method.parents=3", {"random": 8, "cmaes": 1}),
         ("method=cmaes method.generations=2 preference=[0,0.25,1]", {"random": 100, "cmaes": 3}),
+        (
+            "method=gradient method.generations=6 method.polish=2 method.population=16 method.front=2",
+            {"random": 16, "gradient": 2},
+        ),
+        (
+            "method=gradient method.generations=6 method.polish=2 method.population=16 preference=[0,0.5,1]",
+            {"random": 16, "gradient": 3},
+        ),
         ("method=lloyd", {"lloyd": 1}),
         ("method=ols", {"ols": 1}),
         ("method=random method.population=7", {"random": 7}),
@@ -156,7 +164,8 @@ def test_run_directory_of_every_method(words: str, count: dict[str, int], tmp_pa
     assert table["method"].dtype.kind == "U"
     assert table["nondominated"].dtype == bool
     assert table["nondominated"].any()
-    assert (np.isfinite(table["preference"]) == (table["method"] == "cmaes")).all()
+    preferred = ("cmaes", "gradient") if "preference" in words else ("cmaes",)
+    assert (np.isfinite(table["preference"]) == np.isin(table["method"], preferred)).all()
     with (tmp_path / "setups.csv").open() as file:
         lines = list(csv.DictReader(file))
     np.testing.assert_array_equal([float(line["regularity"]) for line in lines], table["regularity"])

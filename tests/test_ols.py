@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 import torch
 
+from rbfevo import gram
 from rbfevo.errors import UserError
+from rbfevo.kernels import Wendland, distances
 from rbfevo.methods.ols import grid_candidates, ols
 
 
@@ -74,7 +76,7 @@ def normal(*shape: int, seed: int = 0) -> torch.Tensor:
 
 
 KERNELS = {"wendland 0.5": wendland(0.5), "wendland 0.25": wendland(0.25), "thin plate": thin_plate}
-FULL, SINGLE, PARTLY, NOTHING = 1e9, 1.5e7, 6e6, 0.0  # bytes, for 900 columns of 3,600 rows
+FULL, PARTLY, NOTHING = 1.5e7, 6e6, 0.0  # bytes, for 900 columns of 3,600 rows
 
 
 @pytest.mark.parametrize("kernel", KERNELS)
@@ -86,7 +88,7 @@ def test_picks_on_the_plane_are_those_of_the_textbook(kernel):
     chosen = ols(columns, candidates, g, 25, memory=FULL)
     assert torch.equal(chosen.centers, candidates[chosen.indices])
     assert abs(float(chosen.gains.sum()) - potential(Phi[:, indices].numpy(), g.numpy())) <= 1e-9
-    again = [ols(*looked_up(Phi), g, 25, memory=memory) for memory in (SINGLE, PARTLY, NOTHING)]
+    again = [ols(*looked_up(Phi), g, 25, memory=memory) for memory in (PARTLY, NOTHING)]
     for selection in (chosen, *again):
         assert selection.indices.tolist() == indices
         np.testing.assert_allclose(selection.gains.numpy(), gains, rtol=1e-6, atol=1e-11)
@@ -98,7 +100,7 @@ def test_picks_on_the_whole_plane_are_those_of_the_textbook(kernel):
     X, g, box = plane(150)
     columns, candidates = kernel_columns(X, KERNELS[kernel]), grid_candidates(*box)
     indices, _ = textbook(columns(candidates).numpy(), g.numpy(), 25)
-    for memory in (1e9, 1e8):
+    for memory in (1e9, 4e7):
         assert ols(columns, candidates, g, 25, memory=memory).indices.tolist() == indices
 
 
@@ -110,7 +112,7 @@ def test_random_problem_with_three_columns_is_solved_as_the_textbook_does(weight
     root = np.ones((700, 1)) if weights is None else weights.sqrt()[:, None].numpy()
     Phi, scaled = root * columns(candidates).numpy(), root * g.numpy()
     indices, gains = textbook(Phi, scaled, 25)
-    for memory in (1e9, 1.5e6, 0.0):
+    for memory in (1e9, 6e5, 0.0):
         chosen = ols(columns, candidates, g, 25, weights=weights, memory=memory, block=37)
         assert chosen.indices.tolist() == indices
         np.testing.assert_allclose(chosen.gains.numpy(), gains, rtol=1e-8)
@@ -133,7 +135,7 @@ def test_small_problems_run_until_nothing_is_left(seed):
         ols(columns, candidates, g, 10)
 
 
-@pytest.mark.parametrize("memory", [1e9, 2e4, 0.0])
+@pytest.mark.parametrize("memory", [1e9, 6e3, 0.0])
 def test_of_mirrored_candidates_the_lowest_index_wins(memory):
     axis = torch.linspace(-1.0, 1.0, 21, dtype=torch.float64)
     X = torch.cartesian_prod(axis, axis)
@@ -148,7 +150,7 @@ def test_of_mirrored_candidates_the_lowest_index_wins(memory):
 
 
 @pytest.mark.parametrize(("lead", "winner"), [(0.0, 2), (5e-10, 2), (5e-9, 7)])
-@pytest.mark.parametrize("memory", [1e9, 400.0, 0.0])
+@pytest.mark.parametrize("memory", [1e9, 200.0, 0.0])
 def test_ties_are_a_billionth_wide(lead, winner, memory):
     """Columns of gain 0.5, at 2, and 0.5 + lead, at 7, among others of gain 0.3."""
     first, second, other = np.sqrt([0.5, 0.5 + lead, 0.3])
@@ -163,7 +165,7 @@ def test_ties_are_a_billionth_wide(lead, winner, memory):
     assert float(chosen.gains[0]) == pytest.approx(float(gains[winner] ** 2), abs=1e-13)
 
 
-@pytest.mark.parametrize("memory", [1e9, 2e4, 0.0])
+@pytest.mark.parametrize("memory", [1e9, 1e3, 0.0])
 def test_copies_zeros_and_values_that_are_not_finite_are_skipped(memory):
     Phi = normal(50, 8)
     nan, infinite, zero, copy = Phi[:, 0].clone(), Phi[:, 1].clone(), torch.zeros(50).double(), -3.0 * Phi[:, 2]
@@ -176,7 +178,7 @@ def test_copies_zeros_and_values_that_are_not_finite_are_skipped(memory):
 
 
 @pytest.mark.parametrize(("new", "used"), [(1e-5, True), (1e-7, False)])
-@pytest.mark.parametrize("memory", [1e9, 2e3, 0.0])
+@pytest.mark.parametrize("memory", [1e9, 1e3, 0.0])
 def test_a_column_must_bring_a_trillionth_of_its_square(new, used, memory):
     """Three directions: one picked first, one that a nearly parallel column would add, and a third."""
     a, b, c = (torch.eye(120, 3, dtype=torch.float64)[:, i] for i in range(3))
@@ -215,10 +217,31 @@ def test_units_of_gradient_and_columns_do_not_matter():
     plain = ols(columns, candidates, g, 10)
     Phi = columns(candidates) * scale
     scaled_columns, numbers = looked_up(Phi)
-    for memory in (1e9, 3e5, 0.0):
+    for memory in (1e9, 1e5, 0.0):
         scaled = ols(scaled_columns, numbers, 1e6 * g, 10, memory=memory)
         assert torch.equal(scaled.indices, plain.indices)
         torch.testing.assert_close(scaled.gains, plain.gains, rtol=1e-9, atol=1e-13)
+
+
+@pytest.mark.parametrize("memory", [FULL, PARTLY])
+@pytest.mark.parametrize("weight", [None, 1.0, 2.0])
+def test_threads_and_equal_weights_change_no_pick(memory, weight):
+    X, g, box = plane(60)
+    candidates, kernel = grid_candidates(*box), Wendland(0.5)
+    weights = None if weight is None else torch.full((len(X),), weight, dtype=torch.float64)
+    indices, gains = textbook(kernel(distances(X, candidates)).numpy(), g.numpy(), 25)
+    for threads in (1, 2, 3):
+        torch.set_num_threads(threads)
+        chosen = ols(gram.kernel_columns(X, kernel), candidates, g, 25, weights=weights, memory=memory)
+        assert chosen.indices.tolist() == indices
+        np.testing.assert_allclose(chosen.gains.numpy(), gains, rtol=1e-6, atol=1e-11)
+
+
+def test_columns_that_autograd_follows_are_no_trouble():
+    X, g, box = plane(12)
+    columns, candidates = kernel_columns(X.requires_grad_(), thin_plate), grid_candidates(*box, per_axis=5)
+    torch.set_num_threads(2)
+    assert not ols(columns, candidates, g, 5).gains.requires_grad
 
 
 def test_neither_columns_nor_gradient_are_written_to():
@@ -229,10 +252,8 @@ def test_neither_columns_nor_gradient_are_written_to():
     assert torch.equal(g, gradient)
 
 
-@pytest.mark.parametrize(
-    ("kernel", "memory"), [("wendland 0.5", FULL), ("wendland 0.5", SINGLE), ("thin plate", SINGLE)]
-)
-def test_few_columns_are_computed_twice(kernel, memory):
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_few_columns_are_computed_twice(kernel):
     """What makes it quick: 25 picks cost not 25 but barely two computations of all columns."""
     X, g, box = plane(60)
     computed = 0
@@ -242,7 +263,7 @@ def test_few_columns_are_computed_twice(kernel, memory):
         computed += len(centers)
         return kernel_columns(X, KERNELS[kernel])(centers)
 
-    ols(columns, grid_candidates(*box), g, 25, memory=memory)
+    ols(columns, grid_candidates(*box), g, 25, memory=FULL)
     assert computed <= 2 * 900
 
 

@@ -14,7 +14,7 @@ from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.pareto import crowding, hypervolume, knee, nondominated, ranks
+from rbfevo.pareto import crowding, hypervolume, knee, nondominated, ranks, well_spread
 
 NAN, INF = math.nan, math.inf
 
@@ -219,3 +219,27 @@ def test_knee_of_degenerate_fronts() -> None:
     assert knee(bulge) == 1
     with pytest.raises(UserError, match=r"^there is no knee: [^\n]+$"):
         knee(one * NAN)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_well_spread_removes_what_costs_least_hypervolume(seed: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    angle = torch.rand(30, generator=generator, dtype=torch.float64) * 0.5 * math.pi
+    table = torch.cat([torch.stack((angle.sin(), angle.cos()), 1), 0.1 * torch.rand(10, 2, dtype=torch.float64)])
+    table[32] = table[3]
+    table[33] = torch.nan
+    left = table[nondominated(table)].unique(dim=0)
+    assert len(left) == 30
+    while len(left) > 8:
+        without = [hypervolume(torch.cat([left[:i], left[i + 1 :]])) for i in range(1, len(left) - 1)]
+        worst = 1 + int(np.argmax(without))
+        left = torch.cat([left[:worst], left[worst + 1 :]])
+    torch.testing.assert_close(table[well_spread(table, 8)], left, rtol=0, atol=0)
+
+
+def test_well_spread_of_short_fronts() -> None:
+    table = torch.tensor([[0.2, 0.9], [0.9, 0.1], [0.2, 0.9], [0.1, 0.2], [0.5, 0.5]], dtype=torch.float64)
+    assert well_spread(table, 10).tolist() == [0, 4, 1]
+    assert well_spread(table, 2).tolist() == [0, 1]
+    assert well_spread(table[:1], 2).tolist() == [0]
+    assert well_spread(table[:0], 2).tolist() == []

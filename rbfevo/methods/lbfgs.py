@@ -26,6 +26,7 @@ class LBFGS:
 
     Attributes:
         points: [K, D] the last accepted ones; values: [K] theirs, maximized, -inf before the first `tell`.
+        accepted: [K] whether the last `tell` was of an accepted point.
     """
 
     def __init__(self, points: Tensor, memory: int = 20, first: float = 0.01) -> None:
@@ -41,6 +42,7 @@ class LBFGS:
         self._length = points.new_ones(K)
         self._rejected = torch.zeros(K, dtype=torch.long, device=points.device)
         self._trial = self.points.clone()
+        self.accepted = torch.zeros(K, dtype=torch.bool, device=points.device)
 
     def ask(self) -> Tensor:
         """[K, D] the points to evaluate next."""
@@ -58,6 +60,10 @@ class LBFGS:
         self.values = torch.full_like(self.values, -math.inf)
         self._trial = self.points.clone()
 
+    def anew(self, points: Tensor) -> LBFGS:
+        """The same method on other points [k, D], without memory."""
+        return LBFGS(points, len(self._rho), self.first)
+
     def tell(self, values: Tensor, gradients: Tensor) -> None:
         """Take values [K] (maximized) and gradients [K, D] of the points last asked for; NaN is a rejection."""
         move = self._trial - self.points
@@ -65,6 +71,7 @@ class LBFGS:
         accepted = fresh | (values >= self.values + ARMIJO * (self._gradients * move).sum(1))
         change = self._gradients - gradients  # of the gradient of -f
         curvature = (move * change).sum(1)
+        self.accepted = accepted
         useful = accepted & ~fresh & (curvature > 1e-10 * change.square().sum(1))
         self._remember(useful, move, change, curvature)
         self.points = torch.where(accepted[:, None], self._trial, self.points)

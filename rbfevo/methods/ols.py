@@ -7,9 +7,10 @@ and r = g - Q Q^T g, a candidate with column phi and w = phi - Q Q^T phi would r
     gain = |w^T r|_F^2 / (w^T w).
 
 The textbook orthogonalizes every column against every pick. Here a candidate carries only bounds: with y = phi^T q for
-the newest q, w^T w falls by y^2 and w^T r by y (q^T r); y comes from columns that are kept in single precision if need
-be, and the bounds allow for that. Only who may win by them is orthogonalized against all of Q, in double precision. So
-the picks are those of the textbook, and each costs about one product with the kept columns.
+the newest q, w^T w falls by y^2 and w^T r by y (q^T r); y comes from columns that are kept in single precision, and the
+bounds allow for that. Who may win by them gets bounds from double precision, and only who may win by those as well is
+orthogonalized against all of Q. So the picks are those of the textbook, and each costs about one product with the kept
+columns.
 """
 
 from __future__ import annotations
@@ -18,10 +19,12 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.threads import run_in_slices
 
 
 class Selection(NamedTuple):
@@ -56,7 +59,7 @@ def ols(
     tolerance: float = 1e-9,
     vanish: float = 1e-12,
     memory: float = 1.25e9,
-    block: int = 128,
+    block: int = 32,
 ) -> Selection:
     """Pick `count` of `candidates` [c, d] greedily, to maximize the improvement potential P of indirect manipulation.
 
@@ -65,14 +68,15 @@ def ols(
     its column is zero or not finite, or if w^T w is below the fraction `vanish` of phi^T phi.
 
     Args:
-        columns: maps centers [b, d] to their float64 kernel columns [n, b] at all vertices, without weights.
+        columns: maps centers [b, d] to their float64 kernel columns [n, b] at all vertices, without weights; on the CPU
+            it is called from as many threads as torch would use.
         candidates: [c, d], model units.
         gradient: [n, k] float64, the estimated fitness gradient g.
         count: number of centers to pick.
         weights: [n] positive; rows of Phi and g count with their square roots.
         tolerance: width of a tie, in P.
         vanish: see above.
-        memory: bytes for kept columns: float64 if all fit, else float32; what does not fit is computed at every pick.
+        memory: bytes for columns kept in single precision; those that do not fit are computed at every pick.
         block: number of candidates computed at a time.
 
     Raises:
@@ -82,8 +86,8 @@ def ols(
         raise UserError(f"OLS has to pick at least one center, not {count}")
     if count > len(candidates):
         raise UserError(f"OLS cannot pick {count} centers from {len(candidates)} candidates: refine the candidate grid")
-    root = None if weights is None else weights.sqrt()[:, None]
-    rest = gradient if root is None else gradient * root
+    root = None if weights is None or bool((weights == 1).all()) else weights.sqrt()
+    rest = gradient if root is None else gradient * root[:, None]
     length = torch.linalg.vector_norm(rest)
     if not bool(length.isfinite() & (length > 0)):
         raise UserError("OLS needs an estimated fitness gradient that is finite and not zero everywhere")
@@ -108,12 +112,23 @@ def ols(
     return Selection(candidates[chosen], chosen, torch.stack(gains))
 
 
+def _empty(rows: int, n: int, device: torch.device) -> Tensor:
+    """Return [rows, n] in single precision; on the CPU in the large pages that NumPy asks for: half the time."""
+    if device.type == "cpu":
+        return torch.from_numpy(np.empty((rows, n), np.float32))
+    return torch.empty(rows, n, dtype=torch.float32, device=device)
+
+
+def _largest(values: Tensor, among: Tensor, count: int) -> Tensor:
+    return torch.where(among, values, -torch.inf).topk(min(count, int(among.sum()))).indices
+
+
 class _Screen:
     """What is known of every candidate, its column phi scaled to unit length, given the picks so far.
 
     `left` [c] bounds w^T w from below, `moment` [c, k] is w^T r to within `doubt` [c] in norm, `usable` [c] says who
-    may still be picked. A product of a kept unit column with a unit vector is taken to be wrong by at most `slack`: u
-    for rounding each factor and sqrt(n) u for summing n terms (Higham & Mary 2019), in the column's precision.
+    may still be picked. A product of a unit column with a unit vector is taken to be wrong by at most `slack`: u for
+    rounding each factor and sqrt(n) u for summing n terms (Higham & Mary 2019), in the precision of the product.
     """
 
     def __init__(
@@ -127,78 +142,133 @@ class _Screen:
     ):
         self.columns, self.candidates, self.root, self.rest, self.block = columns, candidates, root, rest, block
         c, (n, k) = len(candidates), rest.shape
-        keep = torch.float64 if 8 * n * c <= memory else torch.float32
-        self.rounding, rough = (torch.finfo(dtype).eps * (1 + math.sqrt(n) / 2) for dtype in (torch.float64, keep))
-        self.scale, self.moment = rest.new_zeros(c), rest.new_zeros(c, k)
+        self.rounding, rough = (torch.finfo(t).eps * (1 + math.sqrt(n) / 2) for t in (torch.float64, torch.float32))
+        self.scale, self.unit, self.moment = rest.new_zeros(c), rest.new_zeros(c), rest.new_zeros(c, k)
+        self.kept = _empty(min(c, int(memory // (4 * n))), n, rest.device)
+        self._walk(self._survey, torch.arange(c, device=rest.device))
         self.slack = rest.new_full((c,), self.rounding)
-        self.blocks = torch.arange(c, device=rest.device).split(block)
-        self.kept: list[Tensor] = []
-        for indices in self.blocks:
-            phi = self._weighted(indices)
-            square = (phi * phi).sum(0)
-            scale = torch.where(square.isfinite() & (square > 0), square.rsqrt(), 0.0)
-            self.scale[indices] = scale
-            self.moment[indices] = (phi.T @ rest) * scale[:, None]
-            memory -= phi.numel() * keep.itemsize
-            if memory >= 0:
-                self.kept.append(torch.mul(phi, scale, out=torch.empty_like(phi, dtype=keep)))
-                self.slack[indices] = rough
+        self.slack[: len(self.kept)] = rough
         self.usable = self.scale > 0
         self.left = self.usable.to(rest.dtype)
         self.doubt = torch.full_like(self.left, self.rounding)
 
-    def _weighted(self, indices: Tensor) -> Tensor:
-        phi = self.columns(self.candidates[indices])
-        return phi if self.root is None else phi * self.root
+    def _walk(self, visit: Callable[[slice, Tensor, Tensor], None], indices: Tensor) -> None:
+        """Call visit(where, indices[where], rows) with the weighted columns as rows [b, n], one block after the other.
 
-    def _remainder(self, indices: Tensor, Q: Tensor) -> Tensor:
-        """Return the columns w [n, b], in double precision; projecting twice suffices (Giraud et al. 2005)."""
-        w = self._weighted(indices) * self.scale[indices]
-        w -= Q @ (Q.T @ w)
-        w -= Q @ (Q.T @ w)
+        Blocks are small enough to stay in cache; threads share them.
+        """
+
+        def work(begin: int, end: int) -> None:
+            for start in range(begin, end, self.block):
+                where = slice(start, min(start + self.block, end))
+                visit(where, indices[where], self._rows(indices[where]))
+
+        self._share(work, len(indices))
+
+    def _share(self, work: Callable[[int, int], None], count: int) -> None:
+        """Call work(begin, end) for parts of range(count), on several threads if that is of use."""
+        if self.candidates.device.type == "cpu":
+            run_in_slices(work, count)
+        else:
+            work(0, count)
+
+    def _rows(self, indices: Tensor) -> Tensor:
+        rows = self.columns(self.candidates[indices]).detach().T  # torch.no_grad ends at its own thread
+        return (rows if self.root is None else rows * self.root).contiguous()
+
+    def _survey(self, where: slice, indices: Tensor, rows: Tensor) -> None:
+        """Keep a block's columns, and what is known of them before the first pick."""
+        norm = torch.linalg.vector_norm(rows, dim=1)
+        scale = torch.where(norm.isfinite() & (norm > 0), 1.0 / norm, 0.0)
+        self.scale[where] = scale
+        self.moment[where] = (self.rest.T @ rows.T).T * scale[:, None]
+        kept = self.kept[where]
+        # Products with kept columns are scaled instead of these, unless single precision might not reach that far.
+        far = bool(((norm > 1e18) | (norm > 0) & (norm < 1e-18)).any())
+        self.unit[where] = 1.0 if far else scale
+        kept.copy_((rows * scale[:, None] if far else rows)[: len(kept)])
+
+    def _products(self, indices: Tensor, directions: Tensor) -> Tensor:
+        """Return phi^T directions [b, t] for unit columns phi and directions [n, t], in double precision."""
+        out = directions.new_empty(len(indices), directions.shape[1])
+
+        def visit(where: slice, indices: Tensor, rows: Tensor) -> None:
+            out[where] = (directions.T @ rows.T).T * self.scale[indices, None]
+
+        self._walk(visit, indices)
+        return out
+
+    def _remainders(self, indices: Tensor, Q: Tensor) -> Tensor:
+        """Return w [b, n], in double precision; projecting twice suffices (Giraud et al. 2005)."""
+        w = self._rows(indices) * self.scale[indices, None]
+        for _ in range(2):
+            w.addmm_(w @ Q, Q.T, alpha=-1.0)
         return w
 
     def best(self, Q: Tensor, tolerance: float, vanish: float) -> tuple[int, Tensor]:
         """Return index and exact gain of the next pick, or -1 and 0 if no candidate can be used."""
         remaining = (self.rest * self.rest).sum()
-        upper = (torch.linalg.vector_norm(self.moment, dim=1) + self.doubt).square() / self.left
-        upper = torch.where(self.left > 0, upper, torch.inf).clamp(max=remaining)
-        exact = torch.full_like(upper, -torch.inf)  # the gains computed in full
-        index = torch.arange(len(upper), device=upper.device)
-        batch = 4
+        exact = torch.full_like(self.left, -torch.inf)  # the gains computed in full
+        index = torch.arange(len(exact), device=exact.device)
+        sharp = self.slack <= self.rounding  # bounds from double precision
+        few, many = 4, 16
         while True:
+            upper = (torch.linalg.vector_norm(self.moment, dim=1) + self.doubt).square() / self.left
+            upper = torch.where(self.left > 0, upper, torch.inf).clamp(max=remaining)
             top = exact.max()
             tied = (exact >= 0) & (exact >= top - tolerance)
             first = int(tied.int().argmax()) if bool(tied.any()) else -1
             doubtful = self.usable & exact.isneginf() & (upper >= top - tolerance)
             if first >= 0:  # a later one that cannot lead the first by more than the tolerance changes nothing
                 doubtful &= (index < first) | (upper > exact[first] + tolerance)
-            ahead = torch.where(doubtful, upper, -torch.inf).argsort(descending=True, stable=True)
-            ahead = ahead[: min(batch, int(doubtful.sum()))]
-            if len(ahead) == 0:
+            if not bool(doubtful.any()):
                 return first, exact[first] if first >= 0 else torch.zeros_like(remaining)
-            w = self._remainder(ahead, Q)
-            square, moment = (w * w).sum(0), w.T @ self.rest
+            clear = doubtful & sharp
+            if first >= 0 and not bool(clear.any()):
+                ahead = _largest(upper, doubtful, many)
+                self._sharpen(ahead, Q)
+                sharp[ahead] = True
+                many = min(2 * many, 256)
+                continue
+            ahead = _largest(upper, clear if bool(clear.any()) else doubtful, few)
+            w = self._remainders(ahead, Q)
+            square, moment = (w * w).sum(1), w @ self.rest
             alive = square >= vanish
             exact[ahead] = torch.where(alive, (moment * moment).sum(1) / square, -torch.inf)
             self.usable[ahead[~alive]] = False
             self.left[ahead] = (square.sqrt() - self.rounding).clamp(min=0).square()
             self.moment[ahead] = moment
             self.doubt[ahead] = self.rounding
-            batch = min(2 * batch, self.block)
+            few = min(2 * few, 128)
+
+    def _sharpen(self, indices: Tensor, Q: Tensor) -> None:
+        """Bring bounds to double precision: w^T w = 1 - |Q^T phi|^2 and w^T r = phi^T r, without computing w."""
+        t = Q.shape[1]
+        along, moment = self._products(indices, torch.cat((Q, self.rest), dim=1)).tensor_split([t], dim=1)
+        error = 2.0 * (1.0 + math.sqrt(t)) * self.rounding
+        self.left[indices] = (1.0 - along.square().sum(1) - error).clamp(min=0)
+        self.moment[indices] = moment
+        self.doubt[indices] = 2.0 * self.rounding
 
     def pick(self, winner: int, Q: Tensor) -> Tensor:
         """Take `winner` out and return the unit vector q [n] that it adds to Q."""
         self.usable[winner] = False
-        q = self._remainder(self.blocks[0].new_tensor([winner]), Q)[:, 0]
+        q = self._remainders(torch.tensor([winner], device=Q.device), Q)[0]
         return q / torch.linalg.vector_norm(q)
 
     def advance(self, q: Tensor) -> None:
         """Bring the bounds and r up to date with the newest q."""
-        rough = q.to(self.kept[0].dtype) if self.kept else q
-        products = [torch.mv(phi.T, rough).to(q.dtype) for phi in self.kept]
-        products += [torch.mv(self._weighted(i).T, q) * self.scale[i] for i in self.blocks[len(self.kept) :]]
-        y = torch.cat(products)
+        c, kept = len(self.left), len(self.kept)
+        y = torch.empty_like(self.left)
+        rough = q.to(self.kept.dtype)
+
+        def work(begin: int, end: int) -> None:
+            y[begin:end] = torch.mv(self.kept[begin:end], rough)
+
+        self._share(work, kept)
+        y[:kept] *= self.unit[:kept]
+        if kept < c:
+            y[kept:] = self._products(torch.arange(kept, c, device=q.device), q[:, None])[:, 0]
         share = q @ self.rest
         self.left -= (y.abs() + self.slack).square()
         self.moment -= torch.outer(y, share)

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.evolvability import Scores
+from rbfevo.gradients import Spectrum
 from rbfevo.kernels import Kernel
 from rbfevo.pareto import hypervolume
 from rbfevo.scenarios.scenario import Scenario
@@ -55,6 +56,8 @@ class Problem:
         preferences: those asked for, or None.
         initial: the run's initial population, method `random`; empty if no method asked for one.
         scenario, kernel: for heuristics.
+        spectrum: centers [p, m, d] -> singular values and P with gradients, for searches that climb.
+        coarsened: count -> the same problem on at most so many weighted vertices.
     """
 
     evaluate: Callable[[Tensor], Scores]
@@ -66,6 +69,8 @@ class Problem:
     initial: Rows
     scenario: Scenario
     kernel: Kernel
+    spectrum: Callable[[Tensor], Spectrum]
+    coarsened: Callable[[int], Problem]
 
     @property
     def flat_box(self) -> tuple[Tensor, Tensor]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 
 import torch
+from torch import Tensor
 
 from rbfevo.blocks import vertex_blocks
 from rbfevo.scenarios.scenario import Scenario
@@ -14,19 +15,17 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
     """The scenario on at most `count` cells of vertices, or the scenario itself where it has no more than those.
 
     Each compact cell becomes one vertex: the weighted mean of its vertices and of their g, with the sum of their
-    weights. Sums over the vertices then keep their value but for the square of the cells' size, and so do G, b and P (g
-    keeps its scale and is not brought to unit norm again). It has no faces.
+    weights. Sums over the vertices then keep their value but for the square of the cells' size. The means lose what g
+    does within a cell: its norm falls below 1, and P with it (see `matched`). It has no faces.
     """
     n = len(scenario.vertices)
     if n <= count:
         return scenario
     blocks = vertex_blocks(scenario.vertices, scenario.gradient, scenario.weights, -(-n // count))
     cells = len(blocks)
-    device = scenario.vertices.device
-    sizes = blocks.starts.diff().to(device)
-    cell = torch.repeat_interleave(torch.arange(cells, device=device), sizes)
+    cell = torch.repeat_interleave(blocks.starts.diff().to(scenario.vertices.device))
 
-    def total(rows: torch.Tensor) -> torch.Tensor:
+    def total(rows: Tensor) -> Tensor:
         return rows.new_zeros(cells, rows.shape[1]).index_add_(0, cell, rows)
 
     roots = blocks.W[:, None]
@@ -38,3 +37,18 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
         gradient=total(blocks.g.T * roots) / weights,
         weights=weights[:, 0],
     )
+
+
+def matched(scenario: Scenario, potential: Tensor, expected: Tensor) -> Scenario:
+    """A coarsened scenario with g scaled so that its P of some setups [p] comes closest to the P of the full design.
+
+    Args:
+        scenario: as `coarsened` leaves it.
+        potential: [p] P on it; expected: [p] P of the same setups on the full design.
+
+    The norm of g stays at most 1, and with it P.
+    """
+    norm = (scenario.weights[:, None] * scenario.gradient.square()).sum().sqrt()
+    slope = (expected * potential).sum() / potential.square().sum().clamp_min(torch.finfo(potential.dtype).tiny)
+    factor = torch.minimum(slope.sqrt(), 1.0 / norm) if bool(slope > 0) else torch.ones_like(norm)
+    return dataclasses.replace(scenario, gradient=factor * scenario.gradient)

@@ -1,0 +1,132 @@
+"""The whole front, or one setup per preference, by gradients: one batch of quasi-Newton climbs from many starts."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.methods.heuristics import LloydHeuristic, OlsHeuristic
+from rbfevo.methods.lbfgs import LBFGS
+from rbfevo.methods.searches import unscored
+from rbfevo.methods.stage import Method, Problem, Rows, at_least_one
+from rbfevo.methods.teams import RANDOM, FrontTeam, Team, WishTeam
+from rbfevo.methods.tracing import exponents, soft_regularity
+
+ROUNDS = 5
+FIRST_ROUND = 0.3  # of the generations: starts climb on their own before the front is looked at
+REFRESH = 10  # generations of the first round after which the smoothing is fitted to what R has become
+SHARPNESS = 16.0  # of the smooth R in the first round; doubled in every later one
+SCATTER = 0.05  # of the box: standard deviation of the most scattered copy of a heuristic setup
+
+
+class GradientSearch(Method):
+    """The front of regularity and improvement potential, or with preferences one setup for each (paper, eq. 9).
+
+    A generation is one value and gradient of `population` setups: `generations` of them on a design of about `coarse`
+    weighted vertices, then `polish` on all vertices. Starts are copies of the Lloyd and the OLS setup, scattered, and
+    random setups. After each of five rounds the setups are put where the front found so far has most to gain, but for
+    two teams that go on for R and for P alone.
+
+    Args:
+        population: setups that climb at once; at least 16.
+        generations: on the coarse design.
+        polish: generations on all vertices.
+        front: setups of the front that are returned; at least 2.
+        coarse: vertices of the coarse design, about; at least 100.
+        memory: pairs that the quasi-Newton method keeps of each setup.
+    """
+
+    name = "gradient"
+
+    def __init__(
+        self,
+        population: int = 96,
+        generations: int = 170,
+        polish: int = 15,
+        front: int = 100,
+        coarse: int = 3000,
+        memory: int = 20,
+    ) -> None:
+        least = {"population": (population, 16), "front": (front, 2), "coarse": (coarse, 100)}
+        for name, (value, smallest) in least.items():
+            if value < smallest:
+                raise UserError(f"gradient: {name}={value}: at least {smallest} is needed")
+        self.generations = at_least_one("gradient: generations", generations)
+        self.polish = at_least_one("gradient: polish", polish)
+        self.memory = at_least_one("gradient: memory", memory)
+        self.steps = self.generations + self.polish
+        self.population = self.initial = population
+        self.front, self.coarse = front, coarse
+        first = max(1, round(FIRST_ROUND * self.generations))
+        later = (self.generations - first) / (ROUNDS - 1)
+        self._ends = sorted({first + round(i * later) for i in range(ROUNDS)})
+
+    def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
+        if preferences is None:
+            return self.steps * self.population
+        each = WishTeam.share(self.population, len(preferences))
+        return len(preferences) * (self.generations * each + self.polish * (each // 4))
+
+    def start(self, problem: Problem) -> None:
+        self._fine, self._problem = problem, problem.coarsened(self.coarse)
+        self._side = problem.upper - problem.lower
+        self._step, self._sharpness, self._renew = 0, SHARPNESS, True
+        like = problem.initial.centers
+        self._generator = problem.stream(self.name)
+        if problem.preferences is None:
+            self._team: Team = FrontTeam(self.population, self.front, like)
+        else:
+            wishes = torch.tensor(problem.preferences, dtype=like.dtype, device=like.device)
+            self._team = WishTeam(self.population, wishes, self._generator)
+        self._climb = LBFGS(self._starts(), self.memory)
+
+    def _starts(self) -> Tensor:
+        """[size, D] in the unit box: what each element of the team wants, scattered or random."""
+        problem = self._problem
+        lloyd = LloydHeuristic(starts=3, iterations=50).place(problem)[0]
+        ols = OlsHeuristic(per_axis=30 if len(self._side) == 2 else 15).place(problem)[0]
+        kind, scatter = self._team.origins()
+        where = self._generator.device
+        noise = torch.randn(len(kind), *lloyd.shape, generator=self._generator, dtype=lloyd.dtype, device=where)
+        scattered = SCATTER * scatter[:, None, None] * self._side * noise.to(lloyd.device)
+        random = problem.initial.centers
+        random = random[torch.arange(len(kind), device=random.device) % len(random)]
+        base = torch.stack((lloyd, ols))[kind.clamp_min(0)] + scattered
+        centers = torch.where((kind == RANDOM)[:, None, None], random, base)
+        return ((centers - problem.lower) / self._side).flatten(1).clamp(0.0, 1.0)
+
+    def step(self) -> None:
+        if self._step in self._ends:
+            last = self._step == self.generations
+            self._climb = self._team.redeploy(self._climb, last)
+            self._problem = self._fine if last else self._problem
+            self._sharpness *= 2.0
+            self._renew = True
+        if self._renew or (self._step < self._ends[0] and self._step % REFRESH == 0):
+            self._climb.revalue()
+            self._renew = True
+        points = self._climb.ask()
+        spectrum = self._problem.spectrum(self._centers(points))
+        objectives = torch.stack((spectrum.regularity, spectrum.potential), dim=1)
+        if self._renew:
+            self._exponents, self._renew = exponents(objectives[:, 0], self._sharpness), False
+        log_regularity, slope = soft_regularity(spectrum, self._exponents)
+        values, in_regularity, in_potential = self._team.aim(log_regularity, spectrum.potential)
+        gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential)
+        self._climb.tell(values, (gradient * self._side).flatten(1))
+        self._team.move(self._climb, points, objectives, self._climb.accepted)
+        self._step += 1
+
+    def _centers(self, points: Tensor) -> Tensor:
+        return self._problem.lower + self._side * self._problem.unflatten(points)
+
+    def progress(self) -> list[tuple[float, Tensor]]:
+        return self._team.progress()
+
+    def rows(self) -> list[Rows]:
+        points, objectives, preference = self._team.found()
+        if not len(points):
+            return []
+        centers = self._centers(points)
+        return [Rows(self.name, centers, unscored(centers, objectives), preference)]

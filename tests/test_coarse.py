@@ -1,0 +1,58 @@
+"""Coarsened designs: fewer vertices, nearly the same scores."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from rbfevo.evaluator import Evaluator
+from rbfevo.kernels import Kernel, triharmonic, wendland
+from rbfevo.scenarios import face, plane
+from rbfevo.scenarios.coarse import coarsened, matched
+from rbfevo.scenarios.scenario import Scenario
+
+
+def scores(scenario: Scenario, kernel: Kernel, centers: torch.Tensor) -> torch.Tensor:
+    evaluate = Evaluator(scenario.vertices, scenario.gradient, kernel, "direct", scenario.weights)
+    return evaluate(centers).objectives
+
+
+@pytest.mark.parametrize("kernel", [wendland, triharmonic])
+@pytest.mark.parametrize("name", ["plane", "face"])
+def test_scores_are_nearly_those_of_the_full_design(name: str, kernel) -> None:
+    full = plane((80, 80)) if name == "plane" else face(4)
+    centers = full.sample(30, 9, torch.Generator().manual_seed(0))
+    phi = kernel(full.vertices.shape[1], full.support)
+    exact = scores(full, phi, centers)
+    errors = []
+    for count in (600, 1300):
+        fewer = coarsened(full, count)
+        assert len(fewer.vertices) <= count
+        assert float(fewer.weights.sum()) == pytest.approx(float(full.weights.sum()), rel=1e-12)
+        found = scores(fewer, phi, centers)
+        fewer = matched(fewer, found[:, 1], exact[:, 1])
+        norm = float((fewer.weights[:, None] * fewer.gradient**2).sum())
+        assert norm <= 1 + 1e-12
+        found = scores(fewer, phi, centers)
+        errors.append((found - exact).abs().amax(0))
+        assert float(errors[-1][1]) < 0.03
+        assert float(((found - exact).abs()[:, 0] / exact[:, 0]).median()) < 0.03
+    assert (errors[1] < errors[0]).all()
+
+
+def test_a_small_design_is_left_as_it_is() -> None:
+    design = plane((20, 20))
+    assert coarsened(design, 400) is design
+    assert coarsened(design, 399) is not design
+
+
+def test_cells_are_weighted_means() -> None:
+    design = plane((10, 10))
+    weights = torch.rand(100, generator=torch.Generator().manual_seed(1), dtype=torch.float64) + 0.5
+    design = Scenario(**{**vars(design), "weights": weights})
+    fewer = coarsened(design, 25)
+    total = (design.weights[:, None] * design.vertices).sum(0)
+    torch.testing.assert_close((fewer.weights[:, None] * fewer.vertices).sum(0), total)
+    total = (design.weights[:, None] * design.gradient).sum(0)
+    torch.testing.assert_close((fewer.weights[:, None] * fewer.gradient).sum(0), total)
+    assert len(fewer.faces) == 0
