@@ -13,7 +13,7 @@ from pathlib import Path
 
 import torch
 
-from benchmarks import bench_heuristics, bench_memory, bench_scoring, bench_searches
+from benchmarks import bench_fronts, bench_heuristics, bench_memory, bench_scoring, bench_searches
 from benchmarks.bench_rows import Row, Screen, machine, record
 from rbfevo import storage
 from rbfevo.errors import UserError
@@ -31,6 +31,7 @@ GROUPS: dict[str, Group] = {
     "nsga2": bench_searches.nsga2,
     "cmaes": bench_searches.cmaes,
     "heuristics": bench_heuristics.heuristics,
+    "fronts": bench_fronts.fronts,
     "cuda": bench_scoring.cuda,
 }
 

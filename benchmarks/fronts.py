@@ -85,6 +85,17 @@ class Reference:
         }
         storage.write_whole(self.path, storage.npz(arrays))
 
+    def population(self) -> torch.Tensor:
+        """The last population [N, D], as it lies on disk.
+
+        Raises:
+            UserError: if it has not been computed.
+        """
+        if not self.path.exists():
+            raise UserError(f"{self.path} is missing: compute it with scripts/fronts {self.panel.name}")
+        with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as file:
+            return torch.from_numpy(file["population"])
+
     def _load(self, search: Nsga2Search) -> int:
         """Generations done, 0 where nothing is on disk."""
         if not self.path.exists():

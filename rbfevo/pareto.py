@@ -3,7 +3,9 @@
 import heapq
 import math
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
@@ -23,42 +25,52 @@ def ranks(objectives: Tensor, enough: int | None = None) -> Tensor:
 
     Source: Deb et al. 2002, "A fast and elitist multiobjective genetic algorithm: NSGA-II", section III A.
     """
-    failed = objectives.isnan().any(dim=1)
     enough = len(objectives) if enough is None else enough
-    peel = _ranks_of_two if objectives.shape[1] == 2 else _ranks_of_many
-    return peel(objectives, failed, enough)
+    if objectives.shape[1] == 2:
+        return torch.from_numpy(_ranks_of_two(_on_host(objectives), enough)).to(objectives.device)
+    return _ranks_of_many(objectives, enough)
 
 
-def _ranks_of_two(objectives: Tensor, failed: Tensor, enough: int) -> Tensor:
+def _on_host(objectives: Tensor) -> NDArray[np.float64]:
+    """Populations are so small that NumPy is done with an operation before torch, or a GPU, has begun with it."""
+    return objectives.detach().to("cpu", torch.float64).numpy()
+
+
+def _ranks_of_two(objectives: NDArray[np.float64], enough: int) -> NDArray[np.int64]:
     n = len(objectives)
-    f, g = objectives.masked_fill(failed[:, None], -math.inf).unbind(dim=1)
+    f, g = -objectives.T  # minimized from here on
+    failed = np.isnan(f) | np.isnan(g)
+    f, g = np.where(failed, math.inf, f), np.where(failed, math.inf, g)
     # Walk by f, then g, best first: only rows met earlier can dominate a row, and duplicates are neighbours.
-    order = g.argsort(descending=True, stable=True)
-    order = order.take(f.take(order).argsort(descending=True, stable=True))
-    f, g, failed = f.take(order), g.take(order), failed.take(order)
+    order = np.lexsort((g, f))
+    f, g, failed = f[order], g[order], failed[order]
     # Place of each row by g, then f. A row is dominated where an earlier one has a smaller place; duplicates share one.
-    by_g = g.argsort(descending=True, stable=True)
-    distinct = torch.ones_like(by_g)
+    by_g = g.argsort(kind="stable")
+    distinct = np.ones(n, np.int64)
     distinct[1:] = (f[1:] != f[:-1]) | (g[1:] != g[:-1])
-    place = torch.empty_like(by_g).scatter_(0, by_g, distinct.take(by_g).cumsum(0))
+    place = np.empty(n, np.int64)
+    place[by_g] = distinct[by_g].cumsum()
 
     peeled = n + 1  # behind every place
-    place.masked_fill_(failed, peeled)
-    left = n - int(failed.sum())
+    place[failed] = peeled
+    left = n - int(np.count_nonzero(failed))
     stop = max(left - enough, 0)
-    rank, fronts = torch.zeros_like(place), 0
+    walked, fronts = np.zeros(n, np.int64), 0
     while left > stop:
-        place.masked_fill_(place == place.cummin(0).values, peeled)
+        place[place == np.minimum.accumulate(place)] = peeled
         waiting = place < peeled
-        rank += waiting
+        walked += waiting
         fronts += 1
-        left = int(waiting.sum())
-    rank.masked_fill_(failed, fronts)
-    return torch.empty_like(rank).scatter_(0, order, rank)
+        left = int(np.count_nonzero(waiting))
+    walked[failed] = fronts
+    rank = np.empty(n, np.int64)
+    rank[order] = walked
+    return rank
 
 
-def _ranks_of_many(objectives: Tensor, failed: Tensor, enough: int) -> Tensor:
+def _ranks_of_many(objectives: Tensor, enough: int) -> Tensor:
     n = len(objectives)
+    failed = objectives.isnan().any(dim=1)
     as_good = torch.ones(n, n, dtype=torch.bool, device=objectives.device)
     for f in objectives.unbind(dim=1):
         as_good &= f[:, None] >= f[None, :]
@@ -93,21 +105,35 @@ def crowding(objectives: Tensor, ranks: Tensor) -> Tensor:
 
     Source: Deb et al. 2002, section III B.
     """
-    values = objectives.T
-    order = values.argsort(dim=1, descending=True, stable=True)
-    order = order.gather(1, ranks.take(order).argsort(dim=1, stable=True))  # front by front, best first
-    values = values.gather(1, order)
-    rank = ranks.take(order[0])  # sorted, and the same for every objective
-    first = torch.searchsorted(rank, rank)
-    last = torch.searchsorted(rank, rank, right=True) - 1
-    spread = values.index_select(1, first) - values.index_select(1, last)
-    place = torch.arange(len(rank), device=rank.device)
-    gaps = (values.roll(1, dims=1) - values.roll(-1, dims=1)) / spread
-    gaps.masked_fill_((place == first) | (place == last), math.inf)
-    gaps.masked_fill_(~((spread > 0) & (spread < math.inf)), 0.0)
-    gaps.masked_fill_(last - first < 2, math.inf)
-    distance = torch.empty_like(gaps).scatter_(1, order, gaps).sum(dim=0)
-    return distance.masked_fill_(objectives.isnan().any(dim=1), 0.0)
+    distance = _crowding(_on_host(objectives), ranks.cpu().numpy())
+    return torch.from_numpy(distance).to(objectives)
+
+
+def _crowding(objectives: NDArray[np.float64], ranks: NDArray[np.int64]) -> NDArray[np.float64]:
+    rank = np.sort(ranks)
+    first, last, place = rank.searchsorted(rank), rank.searchsorted(rank, "right") - 1, np.arange(len(rank))
+    ends, few = (place == first) | (place == last), last - first < 2
+    distance, gaps = np.zeros(len(rank)), np.zeros(len(rank))
+    for costs in -objectives.T:
+        order = np.lexsort((costs, ranks))  # front by front, best first
+        costs = costs[order]
+        with np.errstate(all="ignore"):
+            spread = costs[last] - costs[first]
+            gaps[1:-1] = costs[2:] - costs[:-2]
+            gaps /= spread
+        gaps[ends] = math.inf
+        gaps[~((spread > 0) & (spread < math.inf))] = 0.0
+        gaps[few] = math.inf
+        distance[order] += gaps
+    distance[np.isnan(objectives).any(axis=1)] = 0.0
+    return distance
+
+
+def best(objectives: Tensor, count: int) -> Tensor:
+    """Indices [count] of the best rows by (rank, crowding), best first, ties by row."""
+    values, rank = _on_host(objectives), ranks(objectives, enough=count).cpu().numpy()
+    order = np.lexsort((-_crowding(values, rank), rank))[:count]
+    return torch.from_numpy(order).to(objectives.device)
 
 
 def nondominated(objectives: Tensor) -> Tensor:

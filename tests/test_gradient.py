@@ -17,7 +17,7 @@ from rbfevo.methods.stage import Method, Rows
 from rbfevo.pareto import hypervolume, nondominated
 from rbfevo.run import Run
 
-SMALL = {"population": 24, "generations": 60, "polish": 6, "front": 20, "coarse": 300}
+SMALL = {"starts": 40, "population": 24, "generations": 60, "polish": 6, "front": 20, "coarse": 300}
 
 
 def settings(method: dict, **changes) -> Settings:
@@ -70,10 +70,10 @@ def test_front_is_better_than_nsga2s_at_twice_the_evaluations(case: tuple[str, s
     assert (rows.centers >= run.scenario.lower).all()
     assert (rows.centers <= run.scenario.upper).all()
     assert rows.preference.isnan().all()
-    spent = run.total("evaluations") - SMALL["population"]
-    assert spent == 24 * 66 + (24 if run.coarse_evaluators else 0)
-    assert run.total("gradients") == 24 * 66
-    peer = {"_target_": "rbfevo.methods.Nsga2Search", "population": 24, "generations": 2 * 66}
+    planned = run.planned
+    assert run.total("gradients") == planned == 18 * 40 + 48 * 24
+    assert run.total("evaluations") == planned + 40 * (1 + len(run.coarse_evaluators))
+    peer = {"_target_": "rbfevo.methods.Nsga2Search", "population": 24, "generations": 2 * planned // 24}
     found = search(peer, **design(*case))[2].scores.objectives
     assert hypervolume(exact) > hypervolume(found)
     assert (exact.amax(0) >= found.amax(0) - 1e-6).all()
@@ -88,13 +88,14 @@ def test_preferences_are_better_served_than_by_what_they_start_from_and_by_cmaes
     wishes = [0.0, 0.4, 1.0]
     run, stage, rows = search(gradient(), preference=wishes)
     assert rows.preference.tolist() == wishes
+    assert run.total("gradients") == run.planned == 3 * (60 * 8 + 6 * 2)
     assert len(stage.progress()) == 3
     value = preferred(rows.preference, rows.scores.objectives)
     exact = preferred(rows.preference, run.evaluator.definition(rows.centers).objectives)
     torch.testing.assert_close(value, exact, rtol=1e-6, atol=1e-8)
     for start in heuristics():
         assert (value > preferred(rows.preference, start)).all()
-    peer = {"_target_": "rbfevo.methods.CmaesSearch", "population": 24, "parents": 6, "generations": 22}
+    peer = {"_target_": "rbfevo.methods.CmaesSearch", "population": 24, "parents": 6, "generations": 20}
     found = search(peer, preference=wishes)[2]  # as many evaluations for all preferences together
     assert (value >= preferred(found.preference, found.scores.objectives) - 1e-6).all()
 
@@ -140,7 +141,7 @@ def test_stopped_early_it_returns_what_it_has() -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"population": 15}, {"front": 1}, {"coarse": 99}, {"generations": 0}, {"polish": 0}, {"memory": 0}]
+    "change", [{"population": 15}, {"starts": 71}, {"front": 1}, {"coarse": 99}, {"generations": 0}, {"polish": 0}, {"memory": 0}]
 )
 def test_settings_that_cannot_work_are_named(change: dict) -> None:
     with pytest.raises(UserError, match=f"gradient: {next(iter(change))}="):

@@ -29,7 +29,7 @@ def no_figures(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) 
 MISTAKES = {
     "method.generatons=3": "method.nsga2",
     "method=nsga2 method.generatons=3": "did you mean method.generations?",
-    "method=nsga3": "choose one of cmaes, lloyd, nsga2, ols, panel, random",
+    "method=nsga3": "choose one of cmaes, gradient, lloyd, nsga2, ols, panel, random",
     "scenario=sphere": "choose one of face, plane",
     "kernel=gauss": "choose one of triharmonic, wendland",
     "manipulation=both": "choose one of direct, indirect",
@@ -138,11 +138,11 @@ def test_results_are_never_overwritten(tmp_path: Path, capfd: pytest.CaptureFixt
         ("method=cmaes method.generations=3 method.population=8 method.parents=3", {"random": 8, "cmaes": 1}),
         ("method=cmaes method.generations=2 preference=[0,0.25,1]", {"random": 100, "cmaes": 3}),
         (
-            "method=gradient method.generations=6 method.polish=2 method.population=16 method.front=2",
+            "method=gradient method.generations=6 method.polish=2 method.starts=16 method.population=16 method.front=2",
             {"random": 16, "gradient": 2},
         ),
         (
-            "method=gradient method.generations=6 method.polish=2 method.population=16 preference=[0,0.5,1]",
+            "method=gradient method.generations=6 method.polish=2 method.starts=16 method.population=16 preference=[0,0.5,1]",
             {"random": 16, "gradient": 3},
         ),
         ("method=lloyd", {"lloyd": 1}),

@@ -14,7 +14,7 @@ from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.pareto import crowding, hypervolume, knee, nondominated, ranks, well_spread
+from rbfevo.pareto import best, crowding, hypervolume, knee, nondominated, ranks, well_spread
 
 NAN, INF = math.nan, math.inf
 
@@ -165,6 +165,30 @@ def test_no_rows(M: int) -> None:
     F = torch.empty(0, M, dtype=torch.float64)
     assert ranks(F).shape == crowding(F, ranks(F)).shape == nondominated(F).shape == (0,)
     assert hypervolume(F[:, :2]) == 0.0
+
+
+@pytest.mark.parametrize("M", [1, 2, 3])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_best_are_those_of_a_sort_by_rank_crowding_and_row(kind: str, M: int) -> None:
+    F = fronts(kind, M, 0)
+    F[::9, 0] = NAN
+    rank = ranks(F)
+    distance = crowding(F, rank)
+    order = sorted(range(len(F)), key=lambda i: (int(rank[i]), -float(distance[i])))
+    for count in (1, 30, 60):
+        part = ranks(F, count)
+        if (part == rank).all():  # else the last front is another
+            assert best(F, count).tolist() == order[:count]
+        assert sorted(rank[best(F, count)].tolist()) == sorted(rank.tolist())[:count]
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.int64])
+def test_other_types_of_objectives(dtype: torch.dtype) -> None:
+    F = torch.randint(20, (50, 2), generator=torch.Generator().manual_seed(0))
+    assert torch.equal(ranks(F.to(dtype)), ranks(F.double()))
+    distance = crowding(F.float().requires_grad_(), ranks(F.float()))
+    assert distance.dtype == torch.float32
+    assert torch.equal(distance, crowding(F.double(), ranks(F)).float())
 
 
 def test_crowding_by_hand() -> None:

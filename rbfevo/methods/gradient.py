@@ -29,7 +29,8 @@ class GradientSearch(Method):
     two teams that go on for R and for P alone.
 
     Args:
-        population: setups that climb at once; at least 16.
+        starts: setups that climb in the first round; for preferences `population` of them.
+        population: setups that climb in later rounds; at least 16, at most `starts`.
         generations: on the coarse design.
         polish: generations on all vertices.
         front: setups of the front that are returned; at least 2.
@@ -41,7 +42,8 @@ class GradientSearch(Method):
 
     def __init__(
         self,
-        population: int = 96,
+        starts: int = 160,
+        population: int = 72,
         generations: int = 170,
         polish: int = 15,
         front: int = 100,
@@ -56,7 +58,10 @@ class GradientSearch(Method):
         self.polish = at_least_one("gradient: polish", polish)
         self.memory = at_least_one("gradient: memory", memory)
         self.steps = self.generations + self.polish
-        self.population = self.initial = population
+        if starts < population:
+            raise UserError(f"gradient: starts={starts}: at least population={population} is needed")
+        self.starts = self.initial = starts
+        self.population = population
         self.front, self.coarse = front, coarse
         first = max(1, round(FIRST_ROUND * self.generations))
         later = (self.generations - first) / (ROUNDS - 1)
@@ -64,7 +69,7 @@ class GradientSearch(Method):
 
     def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
         if preferences is None:
-            return self.steps * self.population
+            return self._ends[0] * self.starts + (self.steps - self._ends[0]) * self.population
         each = WishTeam.share(self.population, len(preferences))
         return len(preferences) * (self.generations * each + self.polish * (each // 4))
 
@@ -75,7 +80,7 @@ class GradientSearch(Method):
         like = problem.initial.centers
         self._generator = problem.stream(self.name)
         if problem.preferences is None:
-            self._team: Team = FrontTeam(self.population, self.front, like)
+            self._team: Team = FrontTeam(self.starts, self.population, self.front, like)
         else:
             wishes = torch.tensor(problem.preferences, dtype=like.dtype, device=like.device)
             self._team = WishTeam(self.population, wishes, self._generator)

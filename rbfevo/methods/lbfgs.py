@@ -60,6 +60,15 @@ class LBFGS:
         self.values = torch.full_like(self.values, -math.inf)
         self._trial = self.points.clone()
 
+    def only(self, rows: Tensor) -> LBFGS:
+        """Elements `rows` [k] alone, with their memory."""
+        kept = LBFGS(self.points[rows], len(self._rho), self.first)
+        for name in ("values", "_gradients", "_direction", "_length", "_rejected", "_trial", "accepted"):
+            setattr(kept, name, getattr(self, name)[rows])
+        for name in ("_steps", "_changes", "_rho"):
+            setattr(kept, name, getattr(self, name)[:, rows])
+        return kept
+
     def anew(self, points: Tensor) -> LBFGS:
         """The same method on other points [k, D], without memory."""
         return LBFGS(points, len(self._rho), self.first)

@@ -3,17 +3,22 @@
 import math
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.pareto import crowding, ranks
+from rbfevo.pareto import best
+
+Array = NDArray[np.floating[Any]]
 
 
 class NSGA2:
     """NSGA-II on a box, by ask and tell: every objective is maximized, a row with a NaN is worse than all others.
 
-    All random numbers come from `generator`, drawn on its device; everything else runs where `initial` lives.
+    All random numbers come from `generator`, drawn on its device. What is asked for and kept lives where `initial`
+    does; the work in between is NumPy's, on the host: an operation on so few numbers is over before a GPU has begun it.
 
     Args:
         initial: [N, D], inside the box; N even and at least 4.
@@ -55,7 +60,8 @@ class NSGA2:
             raise UserError("NSGA-II: the box is not finite, give every variable a lower and an upper bound")
         if not bool(((initial >= self.lower) & (initial <= self.upper)).all()):
             raise UserError("NSGA-II: the initial population is not inside the box, move it between lower and upper")
-        self._lower, self._upper = self.lower.repeat(N), self.upper.repeat(N)  # of the individuals laid end to end
+        # Of the individuals laid end to end.
+        self._box = self.lower.repeat(N).cpu().numpy(), self.upper.repeat(N).cpu().numpy()
         self.generator = generator
         self.crossover_probability = crossover_probability
         self.crossover_eta = crossover_eta
@@ -97,7 +103,7 @@ class NSGA2:
         # Shuffled first: the stable sorts below then break every tie at random.
         shuffle = torch.randperm(len(objectives), generator=self.generator, device=self.generator.device)
         shuffle = shuffle.to(objectives.device)
-        survivors = shuffle.take(_best(objectives.index_select(0, shuffle), N))
+        survivors = shuffle.take(best(objectives.index_select(0, shuffle), N))
         self.population = individuals.index_select(0, survivors)
         self.objectives = objectives.index_select(0, survivors)
         self.generation += 1
@@ -105,21 +111,26 @@ class NSGA2:
 
     def _offspring(self) -> Tensor:
         N, D = self.population.shape
-        where = self.generator.device
         draws = torch.rand(
-            2 * N + N // 2 + N // 2 * D + N * D, dtype=self.population.dtype, generator=self.generator, device=where
+            2 * N + N // 2 + N // 2 * D + N * D,
+            dtype=self.population.dtype,
+            generator=self.generator,
+            device=self.generator.device,
         )
-        draws = draws.to(self.population.device)
-        lots, pairs, crossing, mutation = draws.split([2 * N, N // 2, N // 2 * D, N * D])
-        # Binary tournament: everyone enters twice; the population is sorted, so the smaller index wins.
-        winners = lots.view(2, N).argsort(dim=1).view(N // 2, 2, 2).amin(dim=2)
-        parents = self.population.index_select(0, winners.T.reshape(-1)).view(2, N // 2 * D)
-        crossing = (crossing.view(N // 2, D) + (pairs >= self.crossover_probability)[:, None]).view(-1)
-        children = _crossover(parents, self._lower, self._upper, self.crossover_eta, crossing)
-        children = _mutate(
-            children.view(-1), self._lower, self._upper, self.mutation_eta, self.mutation_probability, mutation
-        )
-        return children.view(N, D).clamp(self.lower, self.upper)  # against rounding
+        parts = draws.cpu().split([2 * N, N // 2, N // 2 * D, N * D])
+        lots, pairs, crossing, mutation = (part.numpy() for part in parts)
+        with np.errstate(all="ignore"):
+            # Binary tournament: everyone enters twice; the population is sorted, so the smaller index wins.
+            lots = lots.reshape(2, N).argsort(axis=1, kind="stable").reshape(N // 2, 2, 2)
+            winners = np.minimum(lots[:, :, 0], lots[:, :, 1])
+            x = self.population.cpu().numpy()[winners.T].reshape(2, N // 2 * D)
+            crossing = crossing.reshape(N // 2, D) + (pairs >= self.crossover_probability)[:, None]
+            _crossover(x, *self._box, self.crossover_eta, crossing.reshape(-1))
+            x = x.reshape(N * D)
+            _mutate(x, *self._box, self.mutation_eta, self.mutation_probability, mutation)
+            lower, upper = self._box
+            np.minimum(np.maximum(x, lower, out=x), upper, out=x)  # against rounding
+        return torch.from_numpy(x).view(N, D).to(self.population.device)
 
     def state_dict(self) -> dict[str, Any]:
         """All that changes from call to call, as tensors and numbers; the settings are those of the constructor."""
@@ -173,50 +184,52 @@ def check_settings(
             raise UserError(f"nsga2: {name}={value}: choose a number that is 0 or larger")
 
 
-def _best(objectives: Tensor, N: int) -> Tensor:
-    """Indices of the N best rows by (rank, crowding), best first, ties by row."""
-    rank = ranks(objectives, enough=N)
-    order = crowding(objectives, rank).argsort(descending=True, stable=True)
-    return order.take(rank.take(order).argsort(stable=True)[:N])
+def _power(x: Array, exponent: float) -> Array:
+    torch.from_numpy(x).pow_(exponent)  # NumPy's differs in the last bit, and a saved search has to go on as it began
+    return x
 
 
-def _crossover(parents: Tensor, lower: Tensor, upper: Tensor, eta: float, choice: Tensor) -> Tensor:
+def _crossover(parents: Array, lower: Array, upper: Array, eta: float, choice: Array) -> None:
     """Bounded simulated binary crossover of parents [2, n] (Deb and Agrawal 1995; bounds as in Deb's own code).
 
-    A variable crosses where its uniform `choice` [n] is below 1/2. Its first two binary digits are then spent (they
-    said to cross, and which child gets which value); the others are a uniform number again, u of the spread factor.
+    They become their children. A variable crosses where its uniform `choice` [n] is below 1/2. Its first two binary
+    digits are then spent (they said to cross, and which child gets which value); the others are a uniform number again,
+    u of the spread factor.
     """
-    crossed = (choice < 0.5).nonzero().squeeze(1)
-    pairs = parents.index_select(1, crossed)
-    low, high = torch.minimum(*pairs), torch.maximum(*pairs)
+    crossed = (choice < 0.5).nonzero()[0]
+    one, other = parents[0].take(crossed), parents[1].take(crossed)
+    low, high = np.minimum(one, other), np.maximum(one, other)
     distance = high - low
-    room = torch.stack([low - lower.index_select(0, crossed), upper.index_select(0, crossed) - high])
-    choice = choice.index_select(0, crossed).mul_(4.0)
+    room = np.stack((low - lower.take(crossed), upper.take(crossed) - high))
+    choice = choice.take(crossed) * 4.0
     # 1/beta for the largest spread factor beta that stays in the box, on either side; 0 where the parents agree.
-    tightest = distance / room.mul_(2.0).add_(distance).clamp_min_(torch.finfo(choice.dtype).tiny)
-    t = choice.frac() * (2.0 - tightest.pow_(eta + 1.0))  # alpha u, with alpha = 2 - beta^-(eta + 1)
+    room *= 2.0
+    room += distance
+    tightest = distance / np.maximum(room, np.finfo(room.dtype).tiny, out=room)
+    t = (choice - np.trunc(choice)) * (2.0 - _power(tightest, eta + 1.0))  # alpha u, with alpha = 2 - beta^-(eta + 1)
     # beta_q = (alpha u)^(1/(eta + 1)) where alpha u <= 1, else (1 / (2 - alpha u))^(1/(eta + 1)).
-    beta = torch.where(t <= 1.0, t, 1.0 / (2.0 - t)).pow_(1.0 / (eta + 1.0))
-    half, middle = beta.mul_(0.5 * distance), 0.5 * (low + high)
+    beta = _power(np.where(t <= 1.0, t, 1.0 / (2.0 - t)), 1.0 / (eta + 1.0))
+    half, middle = beta * (0.5 * distance), 0.5 * (low + high)
     below, above = middle - half[0], middle + half[1]
     first = choice < 1.0
-    children = torch.stack([torch.where(first, below, above), torch.where(first, above, below)])
-    return parents.index_copy(1, crossed, children)
+    parents[0][crossed] = np.where(first, below, above)
+    parents[1][crossed] = np.where(first, above, below)
 
 
-def _mutate(x: Tensor, lower: Tensor, upper: Tensor, eta: float, probability: float, choice: Tensor) -> Tensor:
-    """Bounded polynomial mutation of x [n] (Deb and Goyal 1996; bounds as in Deb's own code).
+def _mutate(x: Array, lower: Array, upper: Array, eta: float, probability: float, choice: Array) -> None:
+    """Bounded polynomial mutation of x [n], in place (Deb and Goyal 1996; bounds as in Deb's own code).
 
     A variable mutates where its uniform `choice` [n] is below `probability`; choice / probability is then uniform again
     and says how far.
     """
-    mutated = (choice < probability).nonzero().squeeze(1)
-    y, low = x.index_select(0, mutated), lower.index_select(0, mutated)
-    width = upper.index_select(0, mutated) - low
-    place = ((y - low) / width.clamp_min(torch.finfo(x.dtype).tiny)).clamp_(0.0, 1.0)
+    mutated = (choice < probability).nonzero()[0]
+    tiny = float(np.finfo(x.dtype).tiny)
+    y, low = x.take(mutated), lower.take(mutated)
+    width = upper.take(mutated) - low
+    place = np.minimum(np.maximum((y - low) / np.maximum(width, tiny), 0.0), 1.0)
     # u below 1/2 goes down, above goes up; v = 1 - |2u - 1|; far is how much of the box lies on the other side.
-    up = choice.index_select(0, mutated).mul_(2.0 / max(probability, torch.finfo(x.dtype).tiny)).sub_(1.0)
-    v = 1.0 - up.abs()
-    far = torch.where(up > 0.0, place, 1.0 - place)
-    step = 1.0 - (v + (1.0 - v) * far.pow(eta + 1.0)).pow(1.0 / (eta + 1.0))
-    return x.index_copy(0, mutated, y + step.copysign(up) * width)
+    up = choice.take(mutated) * (2.0 / max(probability, tiny)) - 1.0
+    v = 1.0 - np.abs(up)
+    far = np.where(up > 0.0, place, 1.0 - place)
+    step = 1.0 - _power(v + (1.0 - v) * _power(far, eta + 1.0), 1.0 / (eta + 1.0))
+    x[mutated] = y + np.copysign(step, up) * width

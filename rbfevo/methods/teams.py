@@ -60,33 +60,29 @@ class Team(abc.ABC):
 
 
 class FrontTeam(Team):
-    """Along the whole front: an eighth of the elements for R, an eighth for P, the others between.
+    """Along the whole front: of the starts three eighths each for R and for P, which have many local maxima.
 
-    At first these are two and three eighths: R and P have many local maxima, P more of them.
+    After the first round `size` go on: an eighth for R, an eighth for P, the others between.
     """
 
-    def __init__(self, size: int, front: int, like: Tensor) -> None:
+    def __init__(self, starts: int, size: int, front: int, like: Tensor) -> None:
         self.size, self.front = size, front
         self.standing, self.points = like.new_zeros(0, 2), like.new_zeros(0, 0)
-        self._eighth = size // 8
-        golden = (torch.arange(size, dtype=like.dtype, device=like.device) * (math.sqrt(5.0) - 1.0) / 2.0).frac()
-        between = torch.ones(size, dtype=torch.bool, device=like.device)
-        between[: 2 * self._eighth] = between[size - 3 * self._eighth :] = False
+        self._eighth, ends = size // 8, 3 * starts // 8
+        golden = (torch.arange(starts, dtype=like.dtype, device=like.device) * (math.sqrt(5.0) - 1.0) / 2.0).frac()
         weights = golden.clone()
-        weights[: 2 * self._eighth], weights[size - 3 * self._eighth :] = 1.0, 0.0
+        weights[:ends], weights[starts - ends :] = 1.0, 0.0
         self.aim = WeightedSum(weights)
-        self._between = between
-        self._scatter = golden.roll(size // 2)
+        self._scatter = golden.roll(starts // 2)
+        self._kind = torch.full((starts,), OLS, device=like.device)
+        self._kind[:ends:2], self._kind[1:ends:2] = RANDOM, LLOYD
+        between = self._kind[ends : starts - ends]
+        between[::3], between[1::6] = RANDOM, LLOYD
         self._archive: Archive | None = None
 
     def origins(self) -> tuple[Tensor, Tensor]:
         """R from Lloyd and random setups, P from OLS, what lies between from all three."""
-        kind = torch.full((self.size,), OLS, device=self._between.device)
-        kind[: 2 * self._eighth] = LLOYD
-        kind[: 2 * self._eighth : 2] = RANDOM
-        between = self._between.nonzero().squeeze(1)
-        kind[between[::3]], kind[between[1::6]] = RANDOM, LLOYD
-        return kind, self._scatter
+        return self._kind, self._scatter
 
     def take(self, points: Tensor, objectives: Tensor) -> None:
         """Keep what is nondominated."""
@@ -110,18 +106,19 @@ class FrontTeam(Team):
             self.aim = Tchebycheff(normals, span, TAU)
             self._archive = None
             return climb.anew(points)
-        directions = climb.points.new_zeros(self.size, 2)
-        free = torch.ones(self.size, dtype=torch.bool, device=device)
-        for objective, end in ((0, ends[1]), (1, ends[0])):
-            chosen = self.standing[:, objective].where(free, -1.0).argsort(descending=True, stable=True)
-            chosen = chosen[: self._eighth]
-            climb.restart(chosen[-1:], end[None])
-            directions[chosen, objective] = 1.0
-            free[chosen] = False
-        between = free.nonzero().squeeze(1)
-        climb.restart(between, points)
-        directions[between] = normals
-        self.aim = Tchebycheff(directions, span, TAU)
+        free = torch.ones(len(self.standing), dtype=torch.bool, device=device)
+        chosen: list[Tensor] = []
+        for objective in (0, 1):
+            order = self.standing[:, objective].where(free, -1.0).argsort(descending=True, stable=True)
+            chosen.append(order[: self._eighth])
+            free[chosen[-1]] = False
+        rows = torch.cat((*chosen, free.nonzero().squeeze(1)[:count]))
+        climb, self.standing = climb.only(rows), self.standing[rows]
+        alone = 2 * self._eighth
+        climb.restart(torch.tensor([self._eighth - 1, alone - 1], device=device), ends.flip(0))
+        climb.restart(torch.arange(alone, self.size, device=device), points)
+        toward = normals.new_tensor([[1.0, 0.0], [0.0, 1.0]]).repeat_interleave(self._eighth, 0)
+        self.aim = Tchebycheff(torch.cat((toward, normals)), span, TAU)
         return climb
 
     def found(self) -> tuple[Tensor, Tensor, Tensor]:
