@@ -97,7 +97,7 @@ class Trial:
 
 
 def quasi_newton(trial: Trial, points: Tensor, aim: Aim, steps: int, sharpness: float = 64.0, every: int = 20) -> None:
-    """L-BFGS with one aim; the smoothing is fitted to R every so many steps, and the aim may look at where all stand."""
+    """L-BFGS with one aim; the smoothing is fitted to R every so many steps, and multipliers are moved."""
     climb = LBFGS(points)
     q = torch.ones_like(points[:, 0])
     for step in range(steps):

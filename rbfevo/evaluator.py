@@ -46,6 +46,9 @@ class Factors(NamedTuple):
 class Evaluator:
     """Scores populations of setups of one design.
 
+    The vertices may lie on a GPU and the centers on the host: the passes over the vertices then run on the GPU, all
+    else on the host, which waits once a pass: for the first, and for at most three more of ill-conditioned setups.
+
     Args:
         vertices: [n, d] float64, model units.
         gradient: g [n, k], of unit (weighted) Frobenius norm.
@@ -84,7 +87,9 @@ class Evaluator:
 
     def definition(self, centers: Tensor) -> Scores:
         """Scores [*pop] of centers [*pop, m, d] by the definition; the reference, slower by a factor of 50."""
-        return score(self.deformation, centers, self.gradient, self.weights)
+        device = self.deformation.vertices.device
+        scores = score(self.deformation, centers.to(device), self.gradient, self.weights)
+        return Scores(*(column.to(centers.device) for column in scores))
 
     @torch.no_grad()
     def __call__(self, centers: Tensor) -> Scores:
@@ -205,7 +210,8 @@ class Evaluator:
         index = torch.nonzero(deficient).flatten()
         if len(index):
             self.factorizations += len(index)
-            T[index], potential[index], rank[index] = self._factorize(setups[index])
+            found = self._factorize(setups[index].to(self.deformation.vertices.device))
+            T[index], potential[index], rank[index] = (part.to(T.device) for part in found)
         return T, y, potential, rank, deficient
 
     def _factorize(self, setups: Tensor) -> tuple[Tensor, Tensor, Tensor]:

@@ -18,8 +18,9 @@ from rbfevo.threads import run_in_slices
 
 BACKENDS = ("auto", "fused", "eager")
 FUSED_BLOCK = 1024  # m = 25 rows of 1024 float64 are 200 KiB: half of a usual second-level cache
-EAGER_BLOCK = 1024
-EAGER_BYTES = {"cpu": 1 << 18, "cuda": 256 << 20}  # of one temporary of an eager step: in cache, or to fill a GPU
+EAGER_BLOCK = {"cpu": 1024, "cuda": 8192}
+EAGER_BYTES = 1 << 18  # of one temporary of an eager step on the CPU: in cache
+GPU_SHARE = 16  # one temporary of an eager step takes at most one in so many parts of a GPU's free memory
 
 
 @functools.cache
@@ -65,12 +66,21 @@ class GramAccumulator:
         self.backend = "fused" if possible and backend != "eager" else "eager"
         self.kernel = kernel
         self.code = -1 if code is None else code
-        self.size = block or (FUSED_BLOCK if self.backend == "fused" else EAGER_BLOCK)
+        device = vertices.device
+        self.size = block or (FUSED_BLOCK if self.backend == "fused" else EAGER_BLOCK.get(device.type, 1024))
+        self._bytes = torch.cuda.mem_get_info(device)[0] // GPU_SHARE if device.type == "cuda" else EAGER_BYTES
         self.blocks: VertexBlocks = vertex_blocks(vertices, gradient, weights, self.size)
 
     def __call__(self, centers: Tensor, factor: Tensor | None = None) -> Tensor:
-        """M [p, m+k, m+k] for finite centers [p, m, d] and, if given, factors T [p, m, m]."""
-        return (self._run_fused if self.backend == "fused" else self._run_eager)(centers.detach().contiguous(), factor)
+        """M [p, m+k, m+k] for finite centers [p, m, d] and, if given, factors T [p, m, m].
+
+        The centers may be on the host while the vertices are on a GPU: then M comes back to the host, which is the only
+        time that the host waits for the GPU.
+        """
+        run = self._run_fused if self.backend == "fused" else self._run_eager
+        device = self.blocks.X.device
+        M = run(centers.detach().contiguous().to(device), None if factor is None else factor.to(device))
+        return M.to(centers.device)
 
     def backward(self, centers: Tensor, dM: Tensor) -> Tensor:
         """Gradient [p, m, d] in the centers of a function of M [p, m+k, m+k] with gradient `dM`, blocks recomputed.
@@ -80,7 +90,9 @@ class GramAccumulator:
         m = centers.shape[1]
         S = dM + dM.mT
         run = self._backward_fused if self.backend == "fused" else self._backward_eager
-        return run(centers.detach().contiguous(), S[:, :m, :m].contiguous(), S[:, :m, m:].contiguous())
+        device = self.blocks.X.device
+        pieces = (centers.detach(), S[:, :m, :m], S[:, :m, m:])
+        return run(*(piece.contiguous().to(device) for piece in pieces)).to(centers.device)
 
     def _backward_fused(self, centers: Tensor, dG: Tensor, db: Tensor) -> Tensor:
         fused = _fused()
@@ -163,7 +175,7 @@ class GramAccumulator:
     def _chunks(self, centers: Tensor, first: int, last: int) -> list[slice]:
         """Slices of the population from first to last whose rows over one block fit an eager step's memory."""
         size = 8 * (centers.shape[1] + self.blocks.g.shape[0]) * self.size
-        step = max(1, EAGER_BYTES.get(centers.device.type, 1 << 18) // size)
+        step = max(1, self._bytes // size)
         return [slice(begin, min(begin + step, last)) for begin in range(first, last, step)]
 
     @staticmethod

@@ -1,6 +1,7 @@
 """Pareto dominance: ranks, crowding distance, hypervolume and knee; every objective is maximized, NaN is worst."""
 
 import heapq
+import itertools
 import math
 
 import numpy as np
@@ -187,7 +188,8 @@ def well_spread(objectives: Tensor, count: int) -> Tensor:
     f = objectives[rows].tolist()
     kept = [i for i in range(len(f)) if i == 0 or f[i] != f[i - 1]]
     if len(kept) > count:
-        before, after = dict(zip(kept[1:], kept, strict=False)), dict(zip(kept, kept[1:], strict=False))
+        after = dict(itertools.pairwise(kept))
+        before = {right: left for left, right in after.items()}
 
         def loss(i: int) -> float:
             return (f[i][0] - f[before[i]][0]) * (f[i][1] - f[after[i]][1])

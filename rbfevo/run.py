@@ -64,8 +64,8 @@ class Run:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        device = chosen_device(settings.device)
-        self.scenario: Scenario = build(settings.scenario).to(device)
+        self.device = chosen_device(settings.device)
+        self.scenario: Scenario = build(settings.scenario)
         n, d = self.scenario.vertices.shape
         if settings.centers > n:
             raise UserError(
@@ -90,7 +90,8 @@ class Run:
         self.threads = torch.get_num_threads()
 
     def _evaluator(self, scenario: Scenario) -> Evaluator:
-        """Of this run's kernel and manipulation, on a scenario's vertices."""
+        """Of this run's kernel and manipulation, on a scenario's vertices; all that a GPU does, it does in there."""
+        scenario = scenario.to(self.device)
         return Evaluator(
             scenario.vertices,
             scenario.gradient,
@@ -149,7 +150,7 @@ class Run:
         return rows
 
     def _stream(self, name: str) -> torch.Generator:
-        return random_stream(self.settings.seed, name, self.scenario.vertices.device)
+        return random_stream(self.settings.seed, name)
 
     def problem(self) -> Problem:
         """What the methods are given; draws and scores the initial population."""
@@ -194,7 +195,7 @@ class Run:
             "method": self.name,
             "centers": self.settings.centers,
             "seed": self.settings.seed,
-            "device": describe(self.scenario.vertices.device),
+            "device": describe(self.device),
             "versions": versions(),
             "evaluations": evaluations,
             "failed_evaluations": self.total("failed_evaluations"),

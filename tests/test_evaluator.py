@@ -11,6 +11,7 @@ import pathlib
 import subprocess
 import sys
 import textwrap
+import warnings
 
 import numpy as np
 import pytest
@@ -542,3 +543,26 @@ def test_scoring_needs_little_memory(backend: str, manipulation: str) -> None:
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert 0.0 <= float(done.stdout) < 200.0
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@pytest.mark.parametrize("manipulation", ["indirect", "direct"])
+@pytest.mark.parametrize(("design", "kernel"), PAIRS)
+def test_a_gpu_scores_host_centers_and_is_waited_for_once_a_pass(design: str, kernel: str, manipulation: str) -> None:
+    mesh, phi = DESIGNS[design](), KERNELS[design][kernel]
+    evaluate = Evaluator(mesh.vertices.cuda(), mesh.gradient.cuda(), phi, manipulation, mesh.weights.cuda())
+    exact = Evaluator(mesh.vertices, mesh.gradient, phi, manipulation, mesh.weights)
+    centers = mesh.centers(50, 20)
+    evaluate(centers)
+    torch.cuda.set_sync_debug_mode("warn")
+    try:
+        with warnings.catch_warnings(record=True) as waits:
+            warnings.simplefilter("always")
+            found = evaluate(centers)
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    assert 1 <= len([w for w in waits if "synchroniz" in str(w.message)]) <= 4
+    assert not found.regularity.is_cuda
+    expected = exact(centers)
+    torch.testing.assert_close(found.regularity, expected.regularity, rtol=1e-6, atol=1e-12)
+    torch.testing.assert_close(found.improvement_potential, expected.improvement_potential, rtol=0, atol=1e-8)

@@ -141,7 +141,16 @@ def test_stopped_early_it_returns_what_it_has() -> None:
 
 
 @pytest.mark.parametrize(
-    "change", [{"population": 15}, {"starts": 71}, {"front": 1}, {"coarse": 99}, {"generations": 0}, {"polish": 0}, {"memory": 0}]
+    "change",
+    [
+        {"population": 15},
+        {"starts": 71},
+        {"front": 1},
+        {"coarse": 99},
+        {"generations": 0},
+        {"polish": 0},
+        {"memory": 0},
+    ],
 )
 def test_settings_that_cannot_work_are_named(change: dict) -> None:
     with pytest.raises(UserError, match=f"gradient: {next(iter(change))}="):

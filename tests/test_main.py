@@ -142,8 +142,8 @@ def test_results_are_never_overwritten(tmp_path: Path, capfd: pytest.CaptureFixt
             {"random": 16, "gradient": 2},
         ),
         (
-            "method=gradient method.generations=6 method.polish=2 method.starts=16 method.population=16 preference=[0,0.5,1]",
-            {"random": 16, "gradient": 3},
+            "method=gradient method.generations=6 method.polish=2 method.population=16 preference=[0,0.5,1]",
+            {"random": 160, "gradient": 3},
         ),
         ("method=lloyd", {"lloyd": 1}),
         ("method=ols", {"ols": 1}),

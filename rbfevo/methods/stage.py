@@ -170,7 +170,7 @@ def at_least_one(setting: str, value: int) -> int:
     return value
 
 
-def random_stream(seed: int, name: str, device: torch.device) -> torch.Generator:
+def random_stream(seed: int, name: str) -> torch.Generator:
     """A generator for one purpose of one run: streams of different names or seeds are independent."""
     state = np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(2, np.uint32)
-    return torch.Generator(device).manual_seed(int(state[0]) << 31 ^ int(state[1]))
+    return torch.Generator().manual_seed(int(state[0]) << 31 ^ int(state[1]))
