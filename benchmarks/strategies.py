@@ -40,7 +40,7 @@ from rbfevo.run import Run
 from rbfevo.threads import coarse
 
 OUTPUT = Path(__file__).parent / "strategies.csv"
-POPULATION, STEPS, COARSE = 96, 185, 3000
+POPULATION, STEPS, COARSE = 96, 185, 2000
 
 
 class Trial:

@@ -30,14 +30,13 @@ class Factors(NamedTuple):
     Attributes:
         T: [p, m, m] lower triangular, T T^T = G; columns that no vertex feels have a diagonal of their own.
         y: [p, m, k] T^-1 b; means nothing where `deficient`.
-        potential: [p] P, maximized; sigma: [p, m] singular values of Phi, falling; rank: [p].
+        potential: [p] P, maximized; rank: [p].
         usable: [p] finite setups with a finite G; deficient: [p] numerically rank-deficient ones.
     """
 
     T: Tensor
     y: Tensor
     potential: Tensor
-    sigma: Tensor
     rank: Tensor
     usable: Tensor
     deficient: Tensor
@@ -131,28 +130,28 @@ class Evaluator:
         y = torch.linalg.solve_triangular(L, b, upper=False)
         potential = y.square().sum((1, 2))
         rank = m - empty.sum(1)
-        sigma = singular_values(L)
         deficient = torch.zeros_like(usable)
-        index = torch.nonzero(usable & ~(sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0]))).flatten()
+        index = torch.nonzero(usable & ~(sound & (least_regularity(L) >= TRIGGER))).flatten()
+        if len(index):  # the bound is cheap and may be too low: singular values decide
+            sigma = singular_values(L[index])
+            index = index[~(sound[index] & (sigma[:, -1] >= TRIGGER * sigma[:, 0]))]
         if len(index):
             self.further_passes += len(index)
             L[index], y[index], potential[index], rank[index], deficient[index] = self._refine(
                 setups[index], G[index], L[index], sound[index], empty[index]
             )
-            sigma[index] = singular_values(L[index])
-        return Factors(L, y, potential, sigma, rank, usable, deficient)
+        return Factors(L, y, potential, rank, usable, deficient)
 
     def _score(self, setups: Tensor, finite: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """R, P and rank [p] of setups [p, m, d]; NaN where a setup is not usable."""
         m = setups.shape[1]
-        L, _, potential, sigma, rank, usable, _ = self.factors(setups, finite)
+        L, _, potential, rank, usable, _ = self.factors(setups, finite)
+        lost = rank < m
         if self.deformation.manipulation == "direct":
-            solution, _, lost = self.direct(setups, L)
-            sigma = singular_values(solution)
-            regularity = torch.where(lost, 0.0, sigma[:, -1] / sigma[:, 0])
-        else:
-            regularity = sigma[:, -1] / sigma[:, 0]
-        regularity = torch.where(rank == m, regularity, 0.0)
+            L, _, undetermined = self.direct(setups, L)
+            lost |= undetermined
+        sigma = singular_values(L)
+        regularity = torch.where(lost, 0.0, sigma[:, -1] / sigma[:, 0])
         regularity, potential = (torch.where(usable, c, torch.nan) for c in (regularity, potential))
         index = torch.nonzero(finite & ~usable).flatten()
         if len(index):  # G can overflow where Phi does not
@@ -248,6 +247,13 @@ def cholesky(G: Tensor) -> tuple[Tensor, Tensor]:
     L, info = torch.linalg.cholesky_ex(G)
     sound = (info == 0) & torch.isfinite(L).flatten(1).all(1)
     return torch.where(sound[:, None, None], L, torch.eye(G.shape[-1], dtype=G.dtype, device=G.device)), sound
+
+
+def least_regularity(L: Tensor) -> Tensor:
+    """A lower bound [p] of sigma_min/sigma_max of triangular L [p, m, m], at most m too small: 1 / (|L| |L^-1|)."""
+    identity = torch.eye(L.shape[-1], dtype=L.dtype, device=L.device)
+    inverse = torch.linalg.solve_triangular(L, identity.expand_as(L), upper=False)
+    return 1.0 / (L.flatten(1).norm(dim=1) * inverse.flatten(1).norm(dim=1))
 
 
 def singular_values(A: Tensor) -> Tensor:

@@ -33,7 +33,7 @@ class Spectrum:
         finite = torch.isfinite(centers).flatten(1).all(1)
         self.evaluator = evaluator
         self.centers = torch.where(finite[:, None, None], centers.detach(), 0.0)
-        T, self._y, potential, _, rank, usable, deficient = evaluator.factors(self.centers, finite)
+        T, self._y, potential, rank, usable, deficient = evaluator.factors(self.centers, finite)
         m = centers.shape[1]
         evaluator.evaluations += len(centers)
         evaluator.failed_evaluations += int((~usable).sum())

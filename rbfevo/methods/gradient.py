@@ -47,7 +47,7 @@ class GradientSearch(Method):
         generations: int = 170,
         polish: int = 15,
         front: int = 100,
-        coarse: int = 3000,
+        coarse: int = 2000,
         memory: int = 20,
     ) -> None:
         least = {"population": (population, 16), "front": (front, 2), "coarse": (coarse, 100)}
