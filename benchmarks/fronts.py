@@ -32,10 +32,10 @@ HISTORY = ("generation", "evaluations", "hypervolume", "best_regularity", "best_
 
 
 class Reference:
-    """NSGA-II on one panel, with a state on disk."""
+    """NSGA-II on one panel, with a state on disk; `words` are further settings of the command line."""
 
-    def __init__(self, panel: Panel, seed: int, directory: Path = DIRECTORY) -> None:
-        self.panel, self.seed, self.directory = panel, seed, directory
+    def __init__(self, panel: Panel, seed: int, directory: Path = DIRECTORY, *words: str) -> None:
+        self.panel, self.seed, self.directory, self.words = panel, seed, directory, words
         self.path = directory / f"{panel.name}-seed{seed}.npz"
         self.seconds = self.cpu_seconds = 0.0
         self.failed = 0
@@ -48,7 +48,8 @@ class Reference:
     def compute(self, generations: int, say: Any = print) -> None:
         """Run until `generations` are done and write the front; a search on disk is continued."""
         with coarse() as threads:
-            run = Run(self.panel.settings("method=nsga2", f"method.generations={generations}", f"seed={self.seed}"))
+            words = ("method=nsga2", f"method.generations={generations}", f"seed={self.seed}", *self.words)
+            run = Run(self.panel.settings(*words))
             (search,) = run.stages
             if not isinstance(search, Nsga2Search):
                 raise UserError("method=nsga2 is no NSGA-II")

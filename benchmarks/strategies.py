@@ -48,7 +48,7 @@ class Trial:
 
     def __init__(self, panel: Panel, seed: int) -> None:
         self.panel, self.seed = panel, seed
-        words = ("method=gradient", f"method.population={POPULATION}", f"seed={seed}")
+        words = ("method=gradient", f"method.starts={POPULATION}", f"method.population={POPULATION}", f"seed={seed}")
         self.run = Run(panel.settings(*words))
         self.problem = self.run.problem().coarsened(COARSE)
         self.side = self.problem.upper - self.problem.lower
