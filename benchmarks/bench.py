@@ -20,6 +20,7 @@ from rbfevo.errors import UserError
 from rbfevo.threads import coarse
 
 OUTPUT = Path(__file__).parent / "bench.json"
+QUICK = Path(__file__).parent / "bench-quick.json"  # not committed
 
 Group = Callable[[bool], Iterator[Row]]  # quick? -> its rows, one after the other
 
@@ -63,10 +64,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="scripts/bench", description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer rounds, no face where the plane will do: 3 minutes")
     parser.add_argument("--only", nargs="+", metavar="GROUP", choices=GROUPS, help=f"of {', '.join(GROUPS)}")
-    parser.add_argument("--output", type=Path, help=f"JSON file; {OUTPUT.name} beside this module, none with --only")
+    where = f"{OUTPUT.name} or {QUICK.name} beside this module, none with --only"
+    parser.add_argument("--output", type=Path, help=f"JSON file; {where}")
     chosen = parser.parse_args(arguments)
     groups = [name for name in GROUPS if chosen.only is None or name in chosen.only]
-    output = chosen.output or (OUTPUT if chosen.only is None else None)
+    output = chosen.output or (None if chosen.only else QUICK if chosen.quick else OUTPUT)
     try:
         run(groups, chosen.quick, Screen(), output)
     except UserError as error:
