@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
+from torch import Tensor
+
 from benchmarks.bench_rows import Row, at_least, at_most
 from benchmarks.fronts import DIRECTORY, Reference, reference_front
 from benchmarks.panels import PANELS, Panel
-from rbfevo.errors import UserError
-from rbfevo.methods.gradient import GradientSearch
 from rbfevo.pareto import hypervolume
 from rbfevo.run import Run
 
@@ -24,18 +24,21 @@ def fronts(quick: bool) -> Iterator[Row]:
         yield from one_front(panel)
 
 
-def one_front(panel: Panel, seed: int = 0, *words: str) -> Iterator[Row]:
-    """The rows of one panel; `words` are further settings of the command line."""
+def gradient_front(panel: Panel, seed: int, *words: str) -> tuple[Run, Tensor, float]:
+    """The run, the front's objectives [p, 2] by definition, and seconds, final scores included."""
     start = time.perf_counter()
     run = Run(panel.settings("method=gradient", f"seed={seed}", *words))
     (search,) = run.stages
-    if not isinstance(search, GradientSearch):
-        raise UserError("method=gradient is no GradientSearch")
     search.start(run.problem())
     for _ in range(search.steps):
         search.step()
     objectives = run.evaluator.definition(search.rows()[0].centers).objectives
-    seconds = time.perf_counter() - start
+    return run, objectives, time.perf_counter() - start
+
+
+def one_front(panel: Panel, seed: int = 0, *words: str) -> Iterator[Row]:
+    """The rows of one panel; `words` are further settings of the command line."""
+    run, objectives, seconds = gradient_front(panel, seed, *words)
     note = f"{run.total('gradients')} gradients"
     yield Row("fronts", panel.name, seconds, "s", **at_most(SECONDS, seconds, " s"), note=note)
     figures = {

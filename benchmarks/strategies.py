@@ -16,12 +16,12 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from benchmarks.bench_fronts import gradient_front
 from benchmarks.fronts import Reference
 from benchmarks.panels import Panel, chosen
 from rbfevo import storage
 from rbfevo.errors import UserError
 from rbfevo.gradients import Spectrum
-from rbfevo.methods.gradient import GradientSearch
 from rbfevo.methods.heuristics import LloydHeuristic, OlsHeuristic
 from rbfevo.methods.lbfgs import LBFGS
 from rbfevo.methods.tracing import (
@@ -237,22 +237,13 @@ METHOD = "gradient"
 
 def attempt(panel: Panel, name: str, seed: int) -> tuple[float, ...]:
     """Hypervolume, best R, best P and seconds of one strategy."""
-    start = time.perf_counter()
     if name == METHOD:
-        run = Run(panel.settings("method=gradient", f"seed={seed}"))
-        (search,) = run.stages
-        if not isinstance(search, GradientSearch):
-            raise UserError("method=gradient is no GradientSearch")
-        search.start(run.problem())
-        for _ in range(search.steps):
-            search.step()
-        seconds = time.perf_counter() - start
-        objectives = run.evaluator.definition(search.rows()[0].centers).objectives
+        _, objectives, seconds = gradient_front(panel, seed)
     else:
-        trial = Trial(panel, seed)
+        start, trial = time.perf_counter(), Trial(panel, seed)
         STRATEGIES[name](trial)
-        seconds = time.perf_counter() - start
         objectives = trial.result()
+        seconds = time.perf_counter() - start
     return hypervolume(objectives), *objectives.amax(0).tolist(), seconds
 
 
