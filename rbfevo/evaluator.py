@@ -46,7 +46,7 @@ class Evaluator:
     """Scores populations of setups of one design.
 
     The vertices may lie on a GPU and the centers on the host: the passes over the vertices then run on the GPU, all
-    else on the host, which waits once a pass: for the first, and for at most three more of ill-conditioned setups.
+    else on the host, which waits once a pass: the first, at most three more of ill-conditioned setups, and their QR.
 
     Args:
         vertices: [n, d] float64, model units.
@@ -239,7 +239,7 @@ def decoupled(G: Tensor) -> tuple[Tensor, Tensor]:
     diagonal = G.diagonal(dim1=1, dim2=2)
     largest = diagonal.amax(1, keepdim=True)
     empty = diagonal == 0
-    return G + torch.diag_embed(torch.where(empty, largest.where(largest > 0, 1.0), 0.0).detach()), empty
+    return G + torch.diag_embed(torch.where(empty, largest.where(largest > 0, 1.0), 0.0)), empty
 
 
 def cholesky(G: Tensor) -> tuple[Tensor, Tensor]:

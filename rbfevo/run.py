@@ -158,6 +158,7 @@ class Run:
 
     def _problem(self, scenario: Scenario, evaluator: Evaluator, initial: Rows) -> Problem:
         def fewer_vertices(count: int) -> Problem:
+            """The same problem on at most `count` weighted vertices; P is matched on the initial population."""
             fewer = coarsened(scenario, count)
             if fewer is scenario:
                 return problem

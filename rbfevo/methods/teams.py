@@ -183,7 +183,8 @@ class WishTeam(Team):
         order = own.gather(1, value.gather(1, own).argsort(dim=1, descending=True, stable=True))
         if last:
             keep = self._each // 4
-            points = torch.cat((self._best[:, None], climb.points[order[:, : keep - 1]]), 1).flatten(0, 1)
+            # The best that was met comes instead of the best that stands, which it nearly always is.
+            points = torch.cat((self._best[:, None], climb.points[order[:, 1:keep]]), 1).flatten(0, 1)
             self.aim = Preference(self.preferences.repeat_interleave(keep))
             self.standing = self.standing[:0]
             self._forget()
