@@ -93,13 +93,9 @@ def _wendland(q, inverse):
 
 
 @_jit
-def _phi_row(code, support, W, row):
-    """Squared distances in `row` become phi(r) W."""
-    if code == WENDLAND:
-        inverse = 1.0 / support
-        for i in range(row.size):
-            row[i] = _wendland(row[i], inverse) * W[i]
-    elif code == THIN_PLATE:
+def _phi_row(code, W, row):
+    """Squared distances in `row` become phi(r) W, for the kernels without compact support."""
+    if code == THIN_PLATE:
         for i in range(row.size):
             q = row[i]
             row[i] = 0.5 * q * _log(q if q > 1e-300 else 1e-300) * W[i]
@@ -114,7 +110,7 @@ def _fill_row(c, X, begin, end, code, support, W, row):
     """phi(r) W of the vertices from begin to end; in one loop where that is faster than two."""
     if code == THIN_PLATE or (code == CUBIC and X.shape[0] == 2):
         _squared_distances(c, X, begin, end, row)
-        _phi_row(code, support, W, row)
+        _phi_row(code, W, row)
     elif X.shape[0] == 2:
         c0, c1, inverse = c[0], c[1], 1.0 / support
         x0, x1 = X[0, begin:end], X[1, begin:end]

@@ -76,8 +76,9 @@ def test_log_to_two_units_in_the_last_place() -> None:
 def test_rows_are_the_kernels(code: int, kernel: Kernel) -> None:
     r = torch.cat([torch.zeros(3), torch.logspace(-14, 2, 400), torch.linspace(0.4, 1.1, 333)]).double()
     W = 0.5 + torch.rand(len(r), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    row, slopes = r.square().numpy().copy(), r.square().numpy().copy()
-    fused._phi_row(code, kernel.support or 0.0, W.numpy(), row)
+    row, slopes = np.full(len(r), np.nan), r.square().numpy().copy()
+    along = np.stack([r.numpy(), np.zeros(len(r))])
+    fused._fill_row(np.zeros(2), along, 0, len(r), code, kernel.support or 0.0, W.numpy(), row)
     fused._slope_row(code, kernel.support or 0.0, W.numpy(), slopes)
     np.testing.assert_allclose(row, (kernel(r) * W).numpy(), rtol=2e-15, atol=1e-15)
     np.testing.assert_allclose(slopes, (kernel.slope(r) * W).numpy(), rtol=2e-15, atol=1e-14)
