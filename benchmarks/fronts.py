@@ -86,16 +86,20 @@ class Reference:
         }
         storage.write_whole(self.path, storage.npz(arrays))
 
-    def population(self) -> torch.Tensor:
-        """The last population [N, D], as it lies on disk.
+    def population(self, evaluations: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """The population [N, D] after so many evaluations and its objectives [N, 2], as they lie on disk.
 
         Raises:
-            UserError: if it has not been computed.
+            UserError: if it has not been computed, or the search has gone on since.
         """
         if not self.path.exists():
             raise UserError(f"{self.path} is missing: compute it with scripts/fronts {self.panel.name}")
         with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as file:
-            return torch.from_numpy(file["population"])
+            population, objectives = torch.from_numpy(file["population"]), torch.from_numpy(file["objectives"])
+            told = int(file["generation"]) * len(population)
+        if told != evaluations:
+            raise UserError(f"{self.path} is at {told} evaluations, not {evaluations}: restore it, or compute it again")
+        return population, objectives
 
     def _load(self, search: Nsga2Search) -> int:
         """Generations done, 0 where nothing is on disk."""

@@ -26,14 +26,17 @@ class Panel(NamedTuple):
         kernel = self.kernel if self.support is None else f"{self.kernel}-{self.support:g}"
         return f"{self.scenario}-{kernel}-{self.manipulation}"
 
+    @property
+    def words(self) -> list[str]:
+        """The words of the command line that choose this panel."""
+        words = [f"scenario={self.scenario}", f"kernel={self.kernel}", f"manipulation={self.manipulation}"]
+        return words if self.support is None else [*words, f"kernel.support={self.support}"]
+
     def settings(self, *words: str) -> Settings:
         """Checked settings of a run on this panel; `words` are further settings of the command line."""
-        own = [f"scenario={self.scenario}", f"kernel={self.kernel}", f"manipulation={self.manipulation}"]
-        if self.support is not None:
-            own.append(f"kernel.support={self.support}")
         GlobalHydra.instance().clear()
         with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-            return check(hydra.compose("config", overrides=[*own, *words]))
+            return check(hydra.compose("config", overrides=[*self.words, *words]))
 
 
 SUPPORTS = {"plane": (0.25, 0.5), "face": (0.5, 1.0)}

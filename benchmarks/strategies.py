@@ -215,7 +215,7 @@ def hypervolume_gradient(trial: Trial) -> None:
 def polished_nsga2(trial: Trial) -> None:
     """the front of NSGA-II after 250,000 evaluations, climbing outwards by L-BFGS"""
     reference = Reference(trial.panel, trial.seed)
-    centers = trial.problem.unflatten(reference.population())
+    centers = trial.problem.unflatten(reference.population(250_000)[0])
     trial.look(trial.points(centers))
     rows = well_spread(trial.archive.objectives, POPULATION)
     points = trial.archive.points[rows]

@@ -34,6 +34,7 @@ class RunConfig:
     preference: Any = None
     device: str = "auto"
     evaluator: str = "auto"
+    figures: bool = True
     quiet: bool = False
 
 
@@ -50,6 +51,7 @@ class Settings:
     preferences: tuple[float, ...] | None
     device: str
     evaluator: str
+    figures: bool
     quiet: bool
 
 
@@ -78,6 +80,7 @@ def check(config: DictConfig) -> Settings:
         preferences=preferences(top.preference),
         device=top.device,
         evaluator=top.evaluator,
+        figures=top.figures,
         quiet=top.quiet,
     )
 

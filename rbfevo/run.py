@@ -227,7 +227,8 @@ class Run:
         storage.write_setups(directory, table)
         storage.write_history(directory, self.history)
         storage.write_summary(directory, self.summary(hypervolume(objectives)))
-        for warning in [*self.warnings, *figures.draw(directory)]:
+        drawn = figures.draw(directory) if self.settings.figures else []
+        for warning in [*self.warnings, *drawn]:
             reporter.line(f"warning: {warning}")
         reporter.closing_table(table, directory)
 

@@ -41,7 +41,7 @@ def test_a_stopped_reference_goes_on_bit_for_bit(tmp_path: Path) -> None:
     fronts = [reference_front(PANEL, 21 * 12, 3, tmp_path / name) for name in ("whole", "parts")]
     torch.testing.assert_close(*fronts, rtol=0, atol=0)
     assert nondominated(fronts[0]).all()
-    assert parts.population().shape == (12, 8)
+    assert parts.population(252)[0].shape == (12, 8)
     head = parts.csv(21 * 12).read_text().splitlines()
     assert "# evaluations: 252" in head
     assert f"# hypervolume: {hypervolume(fronts[0])}" in head
@@ -64,7 +64,7 @@ def test_every_panel_has_its_reference_front(panel: Panel) -> None:
     front = reference_front(panel, 250_000)
     assert nondominated(front).all()
     assert ((front >= 0) & (front <= 1)).all()
-    assert Reference(panel, 0, DIRECTORY).population().shape == (100, 50 if panel.scenario == "plane" else 75)
+    assert Reference(panel, 0, DIRECTORY).population(250_000)[0].shape == (100, 50 if panel.scenario == "plane" else 75)
 
 
 def test_rows_of_the_benchmark(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

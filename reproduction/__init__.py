@@ -1,0 +1,1 @@
+"""The paper's results made again, and put to the test: `scripts/reproduce`."""

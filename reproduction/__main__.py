@@ -1,0 +1,118 @@
+"""`scripts/reproduce`: the runs, the figures, the fits and the page of one budget."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+from benchmarks.panels import chosen
+from rbfevo.errors import UserError
+from reproduction import page, runs
+from reproduction.budgets import BUDGETS, Budget, budget_named
+from reproduction.claims import CLAIMS
+from reproduction.study import Study
+
+PARTS = ("runs", "fronts", "fits", "figures", "claims")
+
+
+def say(line: str) -> None:
+    """Print a line at once."""
+    print(f"{time.strftime('%H:%M:%S')} {line}", flush=True)
+
+
+def started(out: Path, budget: Budget) -> dict[str, object]:
+    """Make the directory, or go on in one of the same budget; the contents of study.json.
+
+    Raises:
+        UserError: if the directory belongs to another budget or cannot be made.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--out {out}: {error.strerror or error}") from error
+    held = {}
+    if (out / "study.json").exists():
+        held = Study(out).facts
+        if held["budget"] != budget.name:
+            raise UserError(f"--out {out} holds --budget {held['budget']}: choose another directory for {budget.name}")
+    contents: dict[str, object] = {**page.facts(budget.name), "seconds": held.get("seconds", {})}
+    page.write_facts(out, contents)
+    return contents
+
+
+def carry_out(part: str, out: Path, budget: Budget, names: list[str]) -> int:
+    """Do one part; return its exit code."""
+    panels = chosen(names)
+    if part == "runs":
+        return runs.carry_out(budget, out, say, panels)
+    if part == "fronts":
+        return runs.carry_out_fronts(budget, out, say, panels)
+    if part == "fits":
+        from reproduction import fits
+
+        return fits.carry_out(Study(out), say)
+    from reproduction import figures
+
+    if part == "figures":
+        for warning in figures.draw(out):
+            say(f"warning: {warning}")
+        return 0
+    study = Study(out)
+    findings = page.write(study, figures.captions(study))
+    verdicts = [finding.verdict for finding in findings.values()]
+    say(f"{out / 'claims.md'}: " + ", ".join(f"{verdicts.count(name)} {name}" for name in dict.fromkeys(verdicts)))
+    return 0
+
+
+def show_claim(out: Path, key: str) -> int:
+    """Measure one claim again, and print its values.
+
+    Raises:
+        UserError: if there is no such claim.
+    """
+    found = next(((number, claim) for number, claim in enumerate(CLAIMS, 1) if claim.key == key), None)
+    if found is None:
+        raise UserError(f"--claim {key}: there is no such claim; there are {', '.join(claim.key for claim in CLAIMS)}")
+    study = Study(out)
+    print("\n".join(page.claim_lines(*found, found[1].find(study), study)).strip())
+    return 0
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Do what is missing, part by part; return the exit code."""
+    parser = argparse.ArgumentParser(prog="scripts/reproduce", description=__doc__)
+    parser.add_argument("panels", nargs="*", help="runs and fronts of these panels alone (parts of their names)")
+    parser.add_argument("--budget", default="quick", help=f"one of {', '.join(BUDGETS)}; quick is the default")
+    parser.add_argument("--out", type=Path, help="where it goes; outputs/reproduce/BUDGET is the default")
+    parser.add_argument("--only", choices=PARTS, action="append", help="this part alone; may be given several times")
+    parser.add_argument("--claim", metavar="KEY", help="measure one claim again on what --out holds, and print it")
+    options = parser.parse_args(arguments)
+    try:
+        budget = budget_named(options.budget)
+        out = options.out or Path("outputs") / "reproduce" / budget.name
+        if options.claim is not None:
+            return show_claim(out, options.claim)
+        chosen(options.panels)
+        contents = started(out, budget)
+        taken = dict(json.loads(json.dumps(contents["seconds"])))
+        for part in options.only or PARTS:
+            begin = time.perf_counter()
+            code = carry_out(part, out, budget, options.panels)
+            taken[part] = round(time.perf_counter() - begin, 1)
+            page.write_facts(out, {**contents, "seconds": taken})
+            if code != 0:
+                return code
+    except UserError as error:
+        print(f"scripts/reproduce: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("scripts/reproduce: interrupted; the same command goes on from here", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,75 @@
+"""What claims are measured by: how uniform centers are, how adapted to the target, and how a front is shaped."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist, pdist
+from scipy.stats import spearmanr
+
+Array = NDArray[np.float64]
+
+
+def spearman(one: Array, other: Array) -> float:
+    """Spearman's rank correlation of two scores [q], in [-1, 1]; NaN where one of them does not vary."""
+    if np.ptp(one) == 0 or np.ptp(other) == 0:
+        return float("nan")
+    return float(spearmanr(one, other)[0])  # pyright: ignore[reportArgumentType]
+
+
+def separation(centers: Array) -> float:
+    """The separation distance of centers [m, d]: the least distance of any two (Wendland 2004; paper, section 7)."""
+    return float(pdist(centers).min())
+
+
+def matched_distance(one: Array, other: Array) -> float:
+    """The mean distance of centers [m, d] to those of another setup, in those pairs that make it least."""
+    distance = cdist(one, other)
+    return float(distance[linear_sum_assignment(distance)].mean())
+
+
+def adaptation(centers: Array, vertices: Array, local_error: Array) -> Array:
+    """How much more than the average vertex those nearest to the centers have to move.
+
+    The mean over the centers [*pop, m, d] of the initial local error [n] at the vertex [n, d] closest to each, divided
+    by its mean over all vertices; 1 for centers that do not look at the target.
+    """
+    _, nearest = KDTree(vertices).query(centers)
+    return local_error[nearest].mean(axis=-1) / local_error.mean()
+
+
+def scaled(objectives: Array, front: Array) -> Array:
+    """Objectives [p, 2] in units of the front's extent: its ends lie at (0, 1) and (1, 0)."""
+    low, high = front.min(axis=0), front.max(axis=0)
+    return (objectives - low) / np.where(high > low, high - low, 1.0)
+
+
+def steps(front: Array) -> Array:
+    """Distances [p - 1] between neighbours of a front [p, 2] sorted by its first objective, in units of its extent."""
+    return np.linalg.norm(np.diff(scaled(front, front), axis=0), axis=1)
+
+
+def roughness(front: Array, degree: int = 7) -> float:
+    """The rms distance of a front [p, 2] to a polynomial curve over its arc length, in units of its extent."""
+    along = np.concatenate([[0.0], np.cumsum(steps(front))])
+    along = 2 * along / along[-1] - 1
+    fitted = np.polynomial.chebyshev.chebfit(along, scaled(front, front), min(degree, len(front) - 1))
+    return float(
+        np.sqrt(((np.polynomial.chebyshev.chebval(along, fitted).T - scaled(front, front)) ** 2).sum(1).mean())
+    )
+
+
+def best_given(front: Array, at_least: Array, gained: int) -> float:
+    """The best of objective `gained` among setups [p, 2] that are at least as good as `at_least` [2] in the other one.
+
+    -inf where there is none.
+    """
+    rivals = front[front[:, 1 - gained] >= at_least[1 - gained]]
+    return float(rivals[:, gained].max()) if len(rivals) else -np.inf
+
+
+def preferred(objectives: Array, preference: Array) -> Array:
+    """The best preference R + (1 - preference) P among setups [p, 2], for preferences [q]: [q] (paper, eq. 9)."""
+    return (preference[:, None] * objectives[:, 0] + (1 - preference[:, None]) * objectives[:, 1]).max(axis=1)

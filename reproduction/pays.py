@@ -1,0 +1,175 @@
+"""Does it pay? What the fits say about R, P, the manipulations, and the value of a search for regularity."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import bootstrap
+
+from rbfevo.fit import MANIPULATIONS, STRATEGIES
+from rbfevo.storage import csv_text, write_whole
+from reproduction import fits
+from reproduction.measures import spearman
+from reproduction.study import SCENARIOS, Study
+
+Array = NDArray[Any]
+RESAMPLES = 2000
+ALL = "all kernels"
+
+
+class Fitted(NamedTuple):
+    """How q setups of one scenario fared under one manipulation and strategy; medians over the seeds.
+
+    Attributes:
+        kind, setup: which they are, [q] each.
+        R, P: of the setup under this manipulation, on the fitted mesh.
+        generations: to the stopping rule; those that did not get there count the cap.
+        reached: the share of seeds that got there.
+        error: final, in units of the start's.
+    """
+
+    kind: Array
+    setup: Array
+    R: Array
+    P: Array
+    generations: Array
+    reached: Array
+    error: Array
+
+    def of(self, kind: str) -> Fitted:
+        """Those of one kernel, or all."""
+        return self if kind == ALL else Fitted(*(column[self.kind == kind] for column in self))
+
+
+class Rank(NamedTuple):
+    """Spearman's rank correlation with the ends of its 95 % confidence interval (bootstrap), over so many setups."""
+
+    value: float
+    low: float
+    high: float
+    setups: int
+
+    def __str__(self) -> str:
+        return f"{self.value:.2f} ({self.low:.2f} to {self.high:.2f})" if np.isfinite(self.value) else "-"
+
+
+@functools.cache
+def fitted(study: Study, scenario: str, manipulation: str, strategy: str) -> Fitted:
+    """What the tables hold of one scenario, manipulation and strategy; setups that could not be fitted left out."""
+    runs: dict[tuple[str, int], list[dict[str, str]]] = {}
+    for row in fits.tables(study):
+        if (row["scenario"], row["manipulation"], row["strategy"]) == (scenario, manipulation, strategy):
+            runs.setdefault((row["kernel"], int(row["setup"])), []).append(row)
+    lines = []
+    for (kind, setup), rows in runs.items():
+        if any(row["stop"].startswith("not fitted") for row in rows):
+            continue
+        numbers = {name: np.array([float(row[name]) for row in rows]) for name in fits.COLUMNS[7:10]}
+        relative = np.median([float(row["error"]) / float(row["start_error"]) for row in rows])
+        reached = np.mean([row["stop"] == "reached" for row in rows])
+        medians = (np.median(numbers[name]) for name in ("regularity", "improvement_potential", "generations"))
+        lines.append((kind, setup, *medians, reached, relative))
+    columns = list(zip(*lines, strict=True)) if lines else [()] * 7
+    return Fitted(np.array(columns[0], dtype=np.str_), *(np.array(column, dtype=float) for column in columns[1:]))  # pyright: ignore
+
+
+def rank(one: Array, other: Array) -> Rank:
+    """Spearman's correlation of two scores [q]; NaN where one of them does not vary."""
+    if len(one) < 4 or np.ptp(one) == 0 or np.ptp(other) == 0:
+        return Rank(np.nan, np.nan, np.nan, len(one))
+
+    def statistic(a: Array, b: Array) -> float:
+        return spearman(a, b) if np.ptp(a) > 0 and np.ptp(b) > 0 else 0.0
+
+    interval = bootstrap(
+        (one, other), statistic, paired=True, vectorized=False, n_resamples=RESAMPLES, method="percentile",
+        rng=np.random.default_rng(0),
+    ).confidence_interval  # fmt: skip
+    return Rank(statistic(one, other), float(interval.low), float(interval.high), len(one))
+
+
+def pairs(study: Study, scenario: str, one: str, other: str, strategy: str) -> tuple[Fitted, Fitted]:
+    """The same setups under two manipulations."""
+    a, b = fitted(study, scenario, one, strategy), fitted(study, scenario, other, strategy)
+    keys = [list(zip(side.kind.tolist(), side.setup.tolist(), strict=True)) for side in (a, b)]
+    common = [key for key in keys[0] if key in set(keys[1])]
+    rows = [np.array([side.index(key) for key in common], dtype=int) for side in keys]
+    return Fitted(*(column[rows[0]] for column in a)), Fitted(*(column[rows[1]] for column in b))
+
+
+class Correlations(NamedTuple):
+    """What the fits of one scenario, kernel (or all), strategy and manipulation say.
+
+    Attributes:
+        speed: of R with the generations.
+        reach: of P with the final error of those that got there.
+        original: of the setups' R under indirect manipulation with the generations under this one.
+        generations: their median; reached: the share that got there.
+    """
+
+    scenario: str
+    kind: str
+    strategy: str
+    manipulation: str
+    speed: Rank
+    reach: Rank
+    original: Rank
+    generations: float
+    reached: float
+
+
+class Change(NamedTuple):
+    """Generations under one manipulation over those under another: median ratio, and on which share of setups there are
+    fewer, and more, of them; how many setups there are."""
+
+    scenario: str
+    kind: str
+    strategy: str
+    one: str
+    other: str
+    ratio: float
+    fewer: float
+    more: float
+    setups: int
+
+
+@functools.cache
+def correlations(study: Study) -> tuple[Correlations, ...]:
+    """By scenario, strategy, manipulation and kernel; empty where no fits are there."""
+    lines = []
+    for scenario, strategy, manipulation in itertools.product(SCENARIOS, STRATEGIES, MANIPULATIONS):
+        raw, found = pairs(study, scenario, "indirect", manipulation, strategy)
+        for kind in (*fits.KINDS, ALL):
+            rows, before = found.of(kind), raw.of(kind)
+            if len(rows.R) > 0:
+                there = rows.reached == 1
+                ranks = rank(rows.R, rows.generations), rank(rows.P[there], rows.error[there])
+                medians = float(np.median(rows.generations)), float(rows.reached.mean())
+                original = rank(before.R, rows.generations)
+                lines.append(Correlations(scenario, kind, strategy, manipulation, *ranks, original, *medians))
+    return tuple(lines)
+
+
+def changes(study: Study) -> Iterator[Change]:
+    """Direct over indirect, orthogonalized over indirect and over direct; by scenario, strategy and kernel."""
+    compared = (("direct", "indirect"), ("orthogonalized", "indirect"), ("orthogonalized", "direct"))
+    for scenario, strategy, (one, other) in itertools.product(SCENARIOS, STRATEGIES, compared):
+        found = pairs(study, scenario, one, other, strategy)
+        for kind in (*fits.KINDS, ALL):
+            a, b = (side.of(kind).generations for side in found)
+            if len(a):
+                ratio = float(np.median(a / np.maximum(b, 1)))
+                shares = float((a < b).mean()), float((a > b).mean())
+                yield Change(scenario, kind, strategy, one, other, ratio, *shares, len(a))
+
+
+def write_tables(study: Study) -> None:
+    """Write fits.csv: every fit, in one table."""
+    rows = [[row[name] for name in fits.COLUMNS] for row in fits.tables(study)]
+    if rows:
+        write_whole(study.out / "fits.csv", csv_text(fits.COLUMNS, rows))

@@ -1,0 +1,141 @@
+"""The page's section on the fits: what was done, what came out in plain words, and the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from reproduction import fits, pays
+from reproduction.markdown import prose, table
+from reproduction.pays import ALL, Change, Correlations
+from reproduction.study import SCENARIOS, Study
+
+NAMES = {"plane": "the plane", "face": "the sphere"}
+
+
+def section(study: Study) -> Iterable[str]:
+    """The lines of the section; a line instead where no fits are there."""
+    yield "## Does it pay?"
+    yield ""
+    found = list(pays.correlations(study))
+    if not found:
+        yield "The fits are not there: `scripts/reproduce --only fits` makes them."
+        yield ""
+        return
+    yield from method(study)
+    changes = list(pays.changes(study))
+    yield from answers(found, changes)
+    yield from table(
+        (
+            *("scenario", "kernel", "strategy", "manipulation", "rank correlation of R with generations"),
+            *("of P with the final error", "median generations", "got there", "setups"),
+        ),
+        (
+            (
+                *(line.scenario, line.kind, line.strategy, line.manipulation, line.speed, line.reach),
+                *(f"{line.generations:,.0f}", f"{line.reached:.0%}", line.speed.setups),
+            )
+            for line in found
+        ),
+    )
+    yield ""
+    yield prose("""A dash: fewer than four fits got there, or R is 1 for all. The final error is that of fits that got
+        there, over the start's. On the plane it is (1 - P) times at most 1.05, so that this correlation is no finding
+        there; on the sphere it is one.""")
+    yield ""
+    yield from table(
+        ("scenario", "kernel", "strategy", "generations of", "median ratio", "fewer on", "more on", "setups"),
+        (
+            (
+                *(line.scenario, line.kind, line.strategy, f"{line.one} / {line.other}"),
+                *(f"{line.ratio:.2f}", f"{line.fewer:.0%}", f"{line.more:.0%}", line.setups),
+            )
+            for line in changes
+        ),
+    )
+    yield ""
+
+
+def method(study: Study) -> Iterator[str]:
+    """How the fits were made."""
+    budget = study.budget
+    count = len({(row["scenario"], row["kernel"], row["setup"]) for row in fits.tables(study)})
+    yield prose(f"""R and P are there to predict a later design optimization, so {count} setups were put through one: a
+        (25,100) evolution strategy starts from the undeformed design and moves the design parameters until the error of
+        its mean is within 5 % of the least one. There are two strategies, *isotropic* (only the step size adapts) and
+        *cmaes* (which learns the covariance too), and three manipulations: indirect, direct, and *orthogonalized*, U
+        replaced by the thin Q of its QR decomposition: the same designs, R = 1.""")
+    yield ""
+    yield prose(f"""Setups of each kernel, all of seed 0: {fits.FROM_FRONT} along the gradient search's front for
+        each of
+        indirect and direct manipulation, {fits.FROM_RANDOM} random ones, Lloyd's and OLS's. On the plane the error
+        is the
+        squared distance to the height field, whose least value is known exactly. On the sphere, here of
+        {10 * 4**budget.fit_subdivisions + 2:,} vertices, it is the squared distance to the scan, closest points anew in
+        every generation, plus a smoothness term (weight 1); its least value is where closest points and least
+        squares in
+        turn end. A fit is given up after {budget.fit_generations[0]:,} generations (plane) or
+        {budget.fit_generations[1]:,} (sphere) and then counts as so many. Seeds of the strategies:
+        {budget.fit_seeds[0]}
+        (plane), {budget.fit_seeds[1]} (sphere); medians over them. Every fit is a row of [fits.csv](fits.csv), made by
+        `scripts/reproduce --budget {budget.name} --only fits`; a single one: `python -m rbfevo.fit RUN --pick index:0
+        --manipulation direct --strategy isotropic`. Intervals are 95 %, by bootstrap over setups.""")
+    yield ""
+
+
+def answers(found: list[Correlations], changes: list[Change]) -> Iterator[str]:
+    """What comes out, in plain words, each with its numbers."""
+    lines = {(line.scenario, line.strategy, line.manipulation): line for line in found if line.kind == ALL}
+    ratios = {(line.scenario, line.strategy, line.one, line.other): line for line in changes if line.kind == ALL}
+
+    def ranks(which: str, strategy: str, manipulation: str) -> str:
+        keys = [(scenario, strategy, manipulation) for scenario in SCENARIOS]
+        return ", ".join(f"{getattr(lines[key], which)} on {NAMES[key[0]]}" for key in keys if key in lines)
+
+    def change(strategy: str, one: str, other: str) -> str:
+        keys = [(scenario, strategy, one, other) for scenario in SCENARIOS]
+        return ", ".join(
+            f"{ratios[key].ratio:.2f} on {NAMES[key[0]]} (fewer for {ratios[key].fewer:.0%} of the setups)"
+            for key in keys
+            if key in ratios
+        )
+
+    yield prose(f"""- **Does R predict the generations?** Rank correlation over all kernels, -1 being a more regular
+        setup
+        always faster. Isotropic, indirect: {ranks("speed", "isotropic", "indirect")}; direct:
+        {ranks("speed", "isotropic", "direct")}. CMA-ES, indirect: {ranks("speed", "cmaes", "indirect")}; direct:
+        {ranks("speed", "cmaes", "direct")}.""")
+    reach = lines.get(("face", "isotropic", "orthogonalized"))
+    yield prose(f"""- **Does P predict the final error?** On the sphere the rank correlation is
+        {reach.reach if reach else "not known"} over the orthogonalized fits that got there. On the plane P *is* the
+        least
+        error, by definition.""")
+    yield prose(f"""- **Does direct converge faster than indirect?** Generations of direct over those of indirect
+        manipulation, median: isotropic {change("isotropic", "direct", "indirect")}; CMA-ES
+        {change("cmaes", "direct", "indirect")}.""")
+    yield prose(f"""- **What does orthogonalization buy?** Generations over those of direct manipulation, median:
+        isotropic
+        {change("isotropic", "orthogonalized", "direct")}; CMA-ES {change("cmaes", "orthogonalized", "direct")}. Over
+        those of indirect manipulation: isotropic {change("isotropic", "orthogonalized", "indirect")}; CMA-ES
+        {change("cmaes", "orthogonalized", "indirect")}.""")
+    yield prose(f"""- **Is regularity still worth searching for then?** The rank correlation of R under indirect
+        manipulation with the generations of the orthogonalized fits is {
+        ranks("original", "isotropic", "orthogonalized")
+    }
+        (isotropic) and {ranks("original", "cmaes", "orthogonalized")} (CMA-ES). {verdict(list(lines.values()))}""")
+    yield ""
+
+
+def verdict(lines: list[Correlations]) -> str:
+    """Whether regularity is worth searching for where U can be orthogonalized, by the signs of the intervals."""
+    ranks = [line.original for line in lines if line.manipulation == "orthogonalized"]
+    helps = sum(bool(np.isfinite(rank.high)) and rank.high < 0 for rank in ranks)
+    if not ranks:
+        return "There are no orthogonalized fits to say it from."
+    if helps == 0:
+        return """So no: once U is orthogonalized, in no case is a setup that was more regular significantly faster. An
+            optimizer that may choose its own parameters should orthogonalize, and search for P alone. R keeps its worth
+            where parameters must stay what a designer understands: weights, or displacements of control points."""
+    return f"""So not entirely: in {helps} of {len(ranks)} cases a setup that was more regular is still significantly
+        faster once U is orthogonalized. What it saves there stands in the table below."""

@@ -1,0 +1,110 @@
+"""`scripts/reproduce`: runs that are done once, fronts, fits, and what can be wrong with its words."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from studies import TINY, began
+
+from benchmarks.panels import PANELS
+from reproduction import __main__ as command
+from reproduction import runs
+from reproduction.budgets import BUDGETS, budget_named
+from reproduction.study import Study
+
+SMALL = TINY._replace(seeds=(0,), search_seeds=(0,), full=())
+
+
+@pytest.fixture
+def out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    return began(tmp_path / "out", monkeypatch, SMALL)
+
+
+def test_every_budget_plans_every_series() -> None:
+    for budget in BUDGETS.values():
+        planned = runs.tasks(budget)
+        assert len({(task.panel, task.series, task.seed) for task in planned}) == len(planned)
+        assert {task.method for task in planned} == {"random", "lloyd", "ols", "gradient", "cmaes"}
+        assert {task.panel for task in planned} == set(PANELS)
+    assert BUDGETS["paper"].evaluations == 2_500_000
+    assert BUDGETS["paper"].generations == 1_000
+    assert BUDGETS["medium"].evaluations == 250_000
+
+
+def test_runs_are_carried_out_once(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    panels = PANELS[:1]
+    assert runs.carry_out(SMALL, out, said.append, panels) == 0
+    assert said[0] == "0 of 5 runs are there"
+    assert len(said) == 6
+    said.clear()
+    monkeypatch.setattr(runs, "rbfevo", lambda words: pytest.fail("it was there"))
+    assert runs.carry_out(SMALL, out, said.append, panels) == 0
+    assert said == ["5 of 5 runs are there"]
+
+    study = Study(out)
+    assert study.held(panels[0], "cmaes", 0).preference.tolist() == [i / 10 for i in range(11)]
+    assert study.held(panels[0], "random", 0).centers.shape == (8, 5, 2)
+    assert study.seeds(panels[0], "gradient", "ols") == [0]
+
+    # another budget's run, and one that was interrupted, are carried out again
+    asked: list[list[str]] = []
+    monkeypatch.setattr(runs, "rbfevo", lambda words: asked.append(words) or 143)
+    other = SMALL._replace(generations=3)
+    assert runs.carry_out(other, out, said.append, panels) == 143
+    assert [word for word in asked[0] if "generations" in word] == ["method.generations=3"]
+    task = runs.tasks(SMALL, panels)[1]
+    summary = task.directory(out) / "summary.json"
+    summary.write_text(json.dumps({**json.loads(summary.read_text()), "stop_reason": "interrupted by SIGTERM"}))
+    assert not task.done(out)
+
+
+def test_fronts_are_computed_where_the_budget_says_so(out: Path) -> None:
+    said: list[str] = []
+    assert runs.carry_out_fronts(SMALL._replace(computes_fronts=False), out, said.append, PANELS[:1]) == 0
+    assert "left out: scripts/fronts" in said[1]
+    assert Study(out).setups(PANELS[0], "nsga2", 0) is None
+    assert runs.carry_out_fronts(SMALL, out, said.append, PANELS[:1]) == 0
+    study = Study(out)
+    front = study.held(PANELS[0], "nsga2", 0)
+    assert front.centers.shape == (100, 5, 2)
+    assert study.front_seconds(PANELS[0], 0) is not None
+
+
+def test_committed_fronts_are_used_where_they_fit() -> None:
+    reference = runs.reference(PANELS[0], 0, BUDGETS["medium"], Path("nowhere"))
+    assert reference is not None
+    assert reference.directory == runs.COMMITTED
+    assert runs.reference(PANELS[0], 0, SMALL, Path("nowhere")) is None
+
+
+@pytest.mark.parametrize(
+    ("words", "answer"),
+    [
+        (["--budget", "huge"], "choose one of quick, medium, paper"),
+        (["no-such-panel"], "no panel is called so"),
+        (["--claim", "nothing", "--out", "OUT"], "there is no such claim; there are"),
+        (["--claim", "smooth", "--out", "missing"], "make it with scripts/reproduce"),
+        (["--out", "OUT", "--budget", "quick"], "holds --budget tiny"),
+    ],
+)
+def test_mistakes_get_one_line(out: Path, words: list[str], answer: str, capsys, monkeypatch) -> None:
+    monkeypatch.chdir(out.parent)
+    assert command.main([word.replace("OUT", str(out)) for word in words]) == 2
+    captured = capsys.readouterr()
+    assert answer in captured.err
+    assert len(captured.err.splitlines()) == 1
+
+
+def test_a_claim_can_be_measured_again(out: Path, capsys) -> None:
+    runs.carry_out_fronts(SMALL, out, lambda line: None, PANELS[:2])
+    assert command.main(["--claim", "smooth", "--out", str(out)]) == 0
+    shown = capsys.readouterr().out
+    assert "The fronts are smooth" in shown
+    assert PANELS[1].name in shown
+
+
+def test_the_budget_is_found_by_name() -> None:
+    assert budget_named("quick").name == "quick"
