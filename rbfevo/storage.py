@@ -22,13 +22,11 @@ from rbfevo.scenarios.scenario import Scenario
 RESULTS = ("setups.npz", "setups.csv", "history.csv", "scenario.npz", "summary.json", "front.png", "centers.png")
 
 
-def refuse_results(directory: Path) -> None:
-    """Raise UserError if the directory already holds results of a run: they are never overwritten."""
-    held = [name for name in RESULTS if (directory / name).exists()]
+def refuse_results(directory: Path, names: Sequence[str] = RESULTS, option: str = "hydra.run.dir") -> None:
+    """Raise UserError if the directory already holds one of the results `names`: they are never overwritten."""
+    held = [name for name in names if (directory / name).exists()]
     if held:
-        raise UserError(
-            f"{directory} already holds results ({held[0]}): choose another hydra.run.dir, or move them away"
-        )
+        raise UserError(f"{directory} already holds results ({held[0]}): choose another {option}, or move them away")
 
 
 def write_whole(path: Path, content: bytes) -> None:

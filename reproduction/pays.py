@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import bootstrap
+from scipy.stats import bootstrap, rankdata
 
 from rbfevo.fit import MANIPULATIONS, STRATEGIES
 from rbfevo.storage import csv_text, write_whole
 from reproduction import fits
-from reproduction.measures import spearman
 from reproduction.study import SCENARIOS, Study
 
 Array = NDArray[Any]
@@ -79,18 +78,21 @@ def fitted(study: Study, scenario: str, manipulation: str, strategy: str) -> Fit
 
 
 def rank(one: Array, other: Array) -> Rank:
-    """Spearman's correlation of two scores [q]; NaN where one of them does not vary."""
+    """Spearman's correlation of two scores [q]; NaN where one of them does not vary, or of fewer than four."""
     if len(one) < 4 or np.ptp(one) == 0 or np.ptp(other) == 0:
         return Rank(np.nan, np.nan, np.nan, len(one))
-
-    def statistic(a: Array, b: Array) -> float:
-        return spearman(a, b) if np.ptp(a) > 0 and np.ptp(b) > 0 else 0.0
-
     interval = bootstrap(
-        (one, other), statistic, paired=True, vectorized=False, n_resamples=RESAMPLES, method="percentile",
-        rng=np.random.default_rng(0),
-    ).confidence_interval  # fmt: skip
-    return Rank(statistic(one, other), float(interval.low), float(interval.high), len(one))
+        (one, other), _spearman, paired=True, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
+    ).confidence_interval
+    return Rank(float(_spearman(one, other)), float(interval.low), float(interval.high), len(one))
+
+
+def _spearman(one: Array, other: Array, axis: int = -1) -> Array:
+    """Of many resamples at once, which `measures.spearman` does not do; 0 where one side does not vary."""
+    ranks = [rankdata(scores, axis=axis) for scores in (one, other)]
+    a, b = (rank - rank.mean(axis=axis, keepdims=True) for rank in ranks)
+    spread = np.sqrt((a**2).sum(axis=axis) * (b**2).sum(axis=axis))
+    return (a * b).sum(axis=axis) / np.where(spread > 0, spread, 1.0)
 
 
 def pairs(study: Study, scenario: str, one: str, other: str, strategy: str) -> tuple[Fitted, Fitted]:

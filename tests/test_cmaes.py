@@ -51,11 +51,11 @@ def cube(n: int, low: float, high: float) -> tuple[Tensor, Tensor]:
     return torch.full((n,), low, dtype=torch.float64), torch.full((n,), high, dtype=torch.float64)
 
 
-def unit(mean: Tensor, sigma: float = 0.3, seed: int = 0, **settings: int) -> CMAES:
+def unit(mean: Tensor, sigma: float = 0.3, seed: int = 0, **settings: Any) -> CMAES:
     return CMAES(mean, sigma, *cube(mean.shape[1], 0, 1), generators=generators(len(mean), seed), **settings)
 
 
-def free(mean: Tensor, sigma: float = 1.0, seed: int = 0, **settings: int) -> CMAES:
+def free(mean: Tensor, sigma: float = 1.0, seed: int = 0, **settings: Any) -> CMAES:
     bounds = cube(mean.shape[1], -math.inf, math.inf)
     return CMAES(mean, sigma, *bounds, generators=generators(len(mean), seed), **settings)
 
@@ -603,6 +603,127 @@ def test_each_element_draws_once_from_its_own_generator() -> None:
     for b in range(2):
         expected = torch.randn(100, 7, generator=torch.Generator().manual_seed(40 + b), dtype=torch.float64)
         assert torch.equal(z[b], expected)
+
+
+# --- without covariance: the isotropic strategy ----------------------------------------------------------------------
+
+
+def sphere(x: Tensor) -> Tensor:
+    return (x**2).sum(-1)
+
+
+def isotropic(mean: Tensor, sigma: float = 1.0, seed: int = 0, **settings: Any) -> CMAES:
+    return free(mean, sigma, seed, covariance=False, **settings)
+
+
+def test_isotropic_generation_equals_the_textbook() -> None:
+    """The textbook with C held at I: its mean, its path and its step size."""
+    search = isotropic(uniform(2, 8), 0.5)
+    after = search.state_dict()
+    for generation in range(20):
+        before = search.state_dict()
+        values = rosenbrock(search.ask())
+        z = search.state_dict()["z"]
+        search.tell(-values)
+        after = search.state_dict()
+        for b in range(2):
+            start = {k: before[k][b].numpy() for k in ("m", "sigma", "p_sigma")}
+            start |= {"C": np.eye(8), "p_c": np.zeros(8)}
+            expected = textbook_generation(start, z[b].numpy(), values[b].numpy(), 25, generation)
+            for key in ("m", "sigma", "p_sigma"):
+                rtol = 1e-3 if key == "sigma" else 0
+                np.testing.assert_allclose(after[key][b].numpy(), expected[key], rtol=rtol, atol=1e-11, err_msg=key)
+    assert set(after) == {"generation", "m", "sigma", "p_sigma", "best", "best_fitness", "z", "x", "generators"}
+
+
+def test_isotropic_converges_on_the_sphere_at_a_linear_rate() -> None:
+    search = isotropic(uniform(5, 20) + 1)
+    logs = []
+    for _ in range(8):
+        minimize(search, sphere, 30)
+        logs.append(sphere(search.mean).log10())
+    rates = torch.stack(logs)[2:].diff(dim=0).median(1).values
+    assert bool((rates < -1.5).all())
+    torch.testing.assert_close(rates, rates.mean().expand_as(rates), rtol=0.25, atol=0)
+
+
+def test_isotropic_is_as_fast_as_the_default_on_the_sphere_and_feels_the_conditioning() -> None:
+    mean = uniform(SEEDS, 25) + 1  # with fewer variables C as a whole shrinks faster than the step size can
+    plain, adapted = (evaluations(search, sphere, 1e-8, 300).median() for search in (isotropic(mean), free(mean)))
+    assert float(plain) < 1.15 * float(adapted)
+    mean = uniform(SEEDS, 10) + 1
+
+    def bowl(x: Tensor) -> Tensor:
+        return ellipsoid(x, 1e4)
+
+    plain, adapted = (evaluations(search, bowl, 1e-4, 2500).median() for search in (isotropic(mean), free(mean)))
+    assert float(plain) > 8 * float(adapted)
+
+
+def test_isotropic_does_not_see_rotations() -> None:
+    """The sphere about another place, in rotated coordinates: the same medians within noise."""
+    Q, _ = torch.linalg.qr(uniform(10, 10))
+    mean = uniform(SEEDS, 10) + 1
+    straight = evaluations(isotropic(mean), sphere, 1e-8, 300).median()
+    turned = evaluations(isotropic(mean @ Q + 3), lambda x: sphere((x - 3) @ Q.T), 1e-8, 300).median()
+    assert float(turned) == pytest.approx(float(straight), rel=0.15)
+
+
+def test_isotropic_evaluations_beside_those_of_cma() -> None:
+    """`cma` with its covariance off, and our step-size damping: 10 and 40 variables, three seeds."""
+    for n in (10, 40):
+        mean = uniform(3, n) + 1
+        ours = float(evaluations(isotropic(mean), sphere, 1e-8, 600).median())
+        damping = Strategy.default(n, 25, 100, False).d_sigma
+        own: Any = cma.CMAEvolutionStrategy(n * [1.0], 1.0, {"popsize": 100, "CMA_mu": 25, "verbose": -9})
+        options = {"CMA_on": 0, "CSA_dampfac": damping / float(own.adapt_sigma.damps), "CMA_active": False}
+        theirs = [cma_evaluations(mean[b], 1.0, sphere, 1e-8, b + 1, 1e5, **options) for b in range(3)]
+        assert ours == pytest.approx(float(np.median(theirs)), rel=0.2)
+
+
+def test_isotropic_batch_equals_loop_and_what_is_retained_goes_on_as_it_would_have() -> None:
+    mean = uniform(4, 9)
+    whole = minimize(isotropic(mean), rosenbrock, 40)
+    for b in range(4):
+        one = isotropic(mean[b : b + 1], seed=b)
+        minimize(one, rosenbrock, 40)
+        torch.testing.assert_close(one.mean[0], whole.mean[b], rtol=0, atol=1e-12)
+    for covariance in (False, True):
+        whole, fewer = (minimize(free(mean, covariance=covariance), rosenbrock, 7) for _ in range(2))
+        kept = torch.tensor([True, False, False, True])
+        fewer.retain(kept)
+        for search in (whole, fewer):
+            minimize(search, rosenbrock, 20)
+        torch.testing.assert_close(fewer.mean, whole.mean[kept], rtol=0, atol=1e-10)
+        assert fewer.best.shape == (2, 9)
+
+
+def test_isotropic_resumed_equals_uninterrupted() -> None:
+    whole = minimize(isotropic(uniform(3, 12)), rosenbrock, 9)
+    file = io.BytesIO()
+    torch.save(whole.state_dict(), file)
+    file.seek(0)
+    resumed = isotropic(uniform(3, 12, seed=9), seed=77)
+    state = torch.load(file, weights_only=True)
+    resumed.load_state_dict(state)
+    for search in (whole, resumed):
+        minimize(search, rosenbrock, 10)
+    assert torch.equal(resumed.mean, whole.mean)
+    assert torch.equal(resumed.sigma, whole.sigma)
+    with pytest.raises(UserError, match="state of a CMAES"):
+        free(uniform(3, 12)).load_state_dict(state)
+
+
+def test_isotropic_stays_within_a_box_and_where_nothing_can_be_learned() -> None:
+    search = isotropic(uniform(2, 5))
+    minimize(search, lambda x: torch.zeros(x.shape[:2]), 10)
+    assert torch.equal(search.mean, uniform(2, 5))
+    noise = torch.Generator().manual_seed(3)
+    search = unit(uniform(3, 10), covariance=False)
+    minimize(search, lambda x: -torch.rand(x.shape[:2], generator=noise, dtype=torch.float64), 100)
+    assert float(search.sigma.max()) <= 1 / 3
+    search = minimize(unit(uniform(3, 10), covariance=False), lambda x: sphere(x - 0.3), 150)
+    assert float(search.best_fitness.min()) > -1e-12
 
 
 GOOD = {"sigma": 0.3, "parents": 5, "offspring": 10, "mean": 0.5, "lower": 0.0, "upper": 1.0, "count": 2}

@@ -1,5 +1,6 @@
 """The sphere and the face: closest points against brute force, what is rejected, frames, notes and refusals."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -8,7 +9,8 @@ import torch
 import trimesh
 
 from rbfevo.errors import UserError
-from rbfevo.scenarios import correspondence, face, placement
+from rbfevo.scenarios import correspondence, face, placement, plane
+from rbfevo.scenarios.coarse import coarsened
 from rbfevo.scenarios.face import average_face
 
 
@@ -236,6 +238,33 @@ def test_sampler_is_uniform_on_the_sphere_and_seeded(built_in):
         assert ((counts - 750.0) ** 2 / 750.0).sum().item() < 27.9  # 0.999 quantile for 9 degrees of freedom
 
 
+def test_what_a_fit_needs(built_in, placed_face):
+    """The pairs it was made of: closest points at the start are the wanted displacement, but for those that stay."""
+    assert built_in.stays.shape == (10242,)
+    wanted = built_in.gradient * built_in.gradient_norm
+    assert torch.equal(built_in.stays, (wanted == 0).all(dim=1))
+    fitted = (~built_in.stays).numpy()
+    start = built_in.vertices.numpy()[fitted]
+    np.testing.assert_allclose(built_in.closest(start) - start, wanted.numpy()[fitted], atol=1e-12)
+    points = np.random.default_rng(8).normal(size=(7, 3))
+    expected, _ = correspondence.closest_on_surface(points, *placed_face)
+    np.testing.assert_array_equal(built_in.closest(points), expected)
+    assert built_in.closest(points[:0]).shape == (0, 3)
+    moved = built_in.to(torch.device("cpu"))
+    assert torch.equal(moved.stays, built_in.stays)
+    assert moved.closest is built_in.closest
+
+
+def test_a_plane_has_a_fixed_target_and_a_coarse_face_too(built_in):
+    assert plane((5, 5)).closest is None
+    assert plane((5, 5)).to(torch.device("cpu")).stays is None
+    fewer = coarsened(built_in, 500)
+    assert fewer.closest is None
+    assert fewer.stays is None
+    with pytest.raises(UserError, match="do not fit together"):
+        dataclasses.replace(built_in, stays=built_in.stays[:-1])
+
+
 # scans of the user
 
 
@@ -266,7 +295,15 @@ def test_a_cloud_of_the_face_gives_nearly_the_gradient_of_its_surface(tmp_path, 
     np.savetxt(path, cloud, delimiter=";", header="x;y;z", comments="")
     from_cloud = face(scan=path)
     assert "a cloud" in from_cloud.notes["scan size"]
+    points = np.random.default_rng(6).normal(size=(50, 3))
+    assert from_cloud.closest is not None
+    assert from_cloud.stays is not None
+    ends = from_cloud.closest(points)
+    np.testing.assert_allclose(
+        np.linalg.norm(ends - points, axis=1), np.linalg.norm(points - built_in.closest(points), axis=1), atol=0.06
+    )
     stays = [scenario.gradient.norm(dim=1) == 0.0 for scenario in (built_in, from_cloud)]
+    assert torch.equal(stays[1], from_cloud.stays)
     assert (stays[0] != stays[1]).double().mean() < 0.02
     kept = ~(stays[0] | stays[1])
     difference = (from_cloud.gradient * from_cloud.gradient_norm - built_in.gradient * built_in.gradient_norm)[kept]

@@ -22,7 +22,7 @@ from rbfevo import figures, pareto
 from rbfevo.errors import UserError
 from rbfevo.figures import __main__ as command_line
 from rbfevo.figures import centers, front, local_error, panels, processes, style, view
-from rbfevo.figures.record import knee, read
+from rbfevo.record import knee, read
 
 SERIES = {
     "random": style.GREEN,

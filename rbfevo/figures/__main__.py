@@ -1,4 +1,4 @@
-"""`python -m rbfevo.figures RUN` redraws front.png and centers.png of a run directory."""
+"""`python -m rbfevo.figures DIR` redraws front.png and centers.png of a run, or fit.png of a fit."""
 
 from __future__ import annotations
 
@@ -8,20 +8,24 @@ from pathlib import Path
 
 from rbfevo.errors import UserError
 from rbfevo.figures import processes
-from rbfevo.figures.record import read
+from rbfevo.record import FitRecord, read, read_fit
 
 
 def draw_here(run: Path, figure: str, opengl: bool) -> None:
     """Draw one figure in this process.
 
     Raises:
-        UserError: if the run directory cannot be drawn.
+        UserError: if the directory cannot be drawn.
         OSError: if the picture cannot be written.
     """
-    record = read(run)
+    record = read_fit(run) if figure == "fit" else read(run)
     from rbfevo.figures import style  # matplotlib takes a while: only once there is something to draw
 
-    if figure == "front":
+    if isinstance(record, FitRecord):
+        from rbfevo.figures import fit
+
+        picture = fit.picture(record, opengl=opengl)
+    elif figure == "front":
         from rbfevo.figures import front
 
         picture = front.picture(record)
@@ -34,13 +38,17 @@ def draw_here(run: Path, figure: str, opengl: bool) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Draw what the command line asks for and return the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m rbfevo.figures", description="Redraw the figures of a run.")
-    parser.add_argument("run", type=Path, help="a run directory, with setups.npz, scenario.npz and summary.json")
-    parser.add_argument("--only", choices=processes.FIGURES, help="draw one figure, in this very process")
+    parser = argparse.ArgumentParser(
+        prog="python -m rbfevo.figures", description="Redraw the figures of a run or a fit."
+    )
+    parser.add_argument("run", type=Path, help="the directory of a run or of a fit")
+    parser.add_argument(
+        "--only", choices=(*processes.FIGURES, *processes.FIT_FIGURES), help="draw one figure, in this very process"
+    )
     parser.add_argument("--no-opengl", action="store_true", help="with --only: draw surfaces without OpenGL")
     options = parser.parse_args(arguments)
     if options.only is None:
-        outcomes = [processes.draw_one(options.run, figure) for figure in processes.FIGURES]
+        outcomes = [processes.draw_one(options.run, figure) for figure in processes.figures_of(options.run)]
         for outcome in outcomes:
             if outcome.warning:
                 print(outcome.warning, file=sys.stderr)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
 
 from rbfevo.figures import style
-from rbfevo.figures.record import Array, Record, knee
+from rbfevo.record import Array, Record, knee
 
 DECADES = 2.0  # a regularity that spans more than this is drawn on a logarithmic axis
 
@@ -24,6 +24,7 @@ class Series(NamedTuple):
     size: float
     order: int
     filled: bool = True
+    edge: float = 0.4  # points
 
 
 class Scale(NamedTuple):
@@ -46,23 +47,13 @@ def picture(record: Record) -> Figure:
         figure = Figure(figsize=(7.6, 4.7))
         axes = figure.add_axes((0.095, 0.125, 0.62, 0.735))
         searched = record.scored & ~np.isin(record.method, ("random", "lloyd", "ols"))
-        scale = _scale(record.regularity[record.scored], record.regularity[searched])
-        _prepare(axes, scale, record.improvement_potential[record.scored])
-        _staircase(axes, scale, record)
+        scale = scale_of(record.regularity[record.scored], record.regularity[searched])
+        prepare(axes, scale, record.improvement_potential[record.scored])
+        front = record.front
+        staircase(axes, scale, record.regularity[front], record.improvement_potential[front])
         kinds = [(_series(record, *kind), rows) for kind, rows in _kinds(record).items()]
         for series, rows in sorted(kinds, key=lambda kind: kind[0].order):
-            axes.scatter(
-                scale.place(record.regularity[rows]),
-                record.improvement_potential[rows],
-                s=series.size,
-                marker=series.marker,
-                facecolor=series.color if series.filled else "white",
-                edgecolor="white" if series.filled else series.color,
-                linewidth=0.4 if series.filled else 1.0,
-                zorder=series.order,
-                label=series.label,
-                clip_on=False,
-            )
+            mark(axes, scale, series, record.regularity[rows], record.improvement_potential[rows])
         _mark_knee(axes, scale, record)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.015), handletextpad=0.4, labelspacing=0.75)
@@ -99,10 +90,10 @@ def _series(record: Record, method: str, preferred: bool) -> Series:
     return Series(method, style.GREY, "s", 30, 5)
 
 
-def _scale(regularity: Array, found: Array) -> Scale:
-    """Choose the x axis for the regularities of all setups that are drawn.
+def scale_of(regularity: Array, found: Array) -> Scale:
+    """Choose the x axis for the regularities [p] of all setups that are drawn.
 
-    It is logarithmic if the better nine tenths of the `found` ones span decades. Random setups do not count: they
+    It is logarithmic if the better nine tenths of the `found` ones [q] span decades. Random setups do not count: they
     nearly always do, and would squeeze a front that does not into a corner; nor does a front's thin tail.
     """
     positive = regularity[regularity > 0]
@@ -124,8 +115,8 @@ def _scale(regularity: Array, found: Array) -> Scale:
     return Scale(True, at(-0.13), at(1.04), edge=at(-0.04), zero=at(-0.085))
 
 
-def _prepare(axes: Axes, scale: Scale, potential: Array) -> None:
-    """Name and tick the axes; the margin for regularity 0 has a tick of its own."""
+def prepare(axes: Axes, scale: Scale, potential: Array) -> None:
+    """Name and tick the axes, and show all of `potential` [p]; the margin for regularity 0 has a tick of its own."""
     axes.set_ylabel("improvement potential")
     axes.set_xlabel("regularity (logarithmic)" if scale.logarithmic else "regularity")
     axes.spines[["top", "right"]].set_visible(False)
@@ -148,14 +139,31 @@ def _prepare(axes: Axes, scale: Scale, potential: Array) -> None:
         axes.annotate("R = 0", (scale.zero, 0), (0, -5), **place)
 
 
-def _staircase(axes: Axes, scale: Scale, record: Record) -> None:
-    """The edge of what the front dominates, from the left of the picture down to its bottom."""
-    front = record.front
-    if front.size == 0:
+def mark(axes: Axes, scale: Scale, series: Series, regularity: Array, potential: Array) -> None:
+    """Put a mark where each setup [p] of a series stands."""
+    axes.scatter(
+        scale.place(regularity),
+        potential,
+        s=series.size,
+        marker=series.marker,
+        facecolor=series.color if series.filled else "white",
+        edgecolor="white" if series.filled else series.color,
+        linewidth=series.edge if series.filled else 1.0,
+        zorder=series.order,
+        label=series.label,
+        clip_on=False,
+    )
+
+
+def staircase(
+    axes: Axes, scale: Scale, regularity: Array, potential: Array, color: str = style.BLUE, alpha: float = 0.35
+) -> None:
+    """Draw the edge of what a front [p], by rising regularity, dominates, from the left of the axes to their bottom."""
+    if regularity.size == 0:
         return
-    x, y = scale.place(record.regularity[front]), record.improvement_potential[front]
-    x, y = np.concatenate([[scale.lower], x, x[-1:]]), np.concatenate([y[:1], y, [axes.get_ylim()[0]]])
-    axes.step(x, y, where="pre", color=style.BLUE, linewidth=0.9, alpha=0.35, zorder=2)
+    x = scale.place(regularity)
+    x, y = np.concatenate([[scale.lower], x, x[-1:]]), np.concatenate([potential[:1], potential, [axes.get_ylim()[0]]])
+    axes.step(x, y, where="pre", color=color, linewidth=0.9, alpha=alpha, zorder=2)
 
 
 def _mark_knee(axes: Axes, scale: Scale, record: Record) -> None:

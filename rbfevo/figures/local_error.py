@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from rbfevo.errors import UserError
-from rbfevo.figures.record import Array, Record
+from rbfevo.record import Array, Record
 
 BLOCK = 65_536  # vertices at a time
 

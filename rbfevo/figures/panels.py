@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 from rbfevo.errors import UserError
 from rbfevo.figures import style
-from rbfevo.figures.record import Array, Record, knee
+from rbfevo.picks import best
+from rbfevo.record import Array, Record, knee
 
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.95, 1.05, 1.12, 0.5, 0.24  # inches
 
@@ -55,16 +56,16 @@ def choose(record: Record) -> dict[int, str]:
     Raises:
         UserError: if no setup has finite scores and centers.
     """
-    usable = np.flatnonzero(record.scored & np.isfinite(record.centers).all(axis=(1, 2)))
+    usable = record.usable
     if usable.size == 0:
         raise UserError("no setup has finite centers and scores")
     if usable.size == 1:
         return {int(usable[0]): "the only setup"}
-    R, P = record.regularity[usable], record.improvement_potential[usable]
+    R, P = record.regularity, record.improvement_potential
     found = [
-        (usable[np.lexsort((-P, -R))[0]], "best regularity"),
+        (best(usable, R, P), "best regularity"),
         (knee(record), "knee"),
-        (usable[np.lexsort((-R, -P))[0]], "best improvement potential"),
+        (best(usable, P, R), "best improvement potential"),
     ]
     titles: dict[int, str] = {}
     for index, title in found:

@@ -12,7 +12,7 @@ from matplotlib.tri import Triangulation
 from rbfevo.figures import style
 from rbfevo.figures.local_error import local_error
 from rbfevo.figures.panels import Choice, Colors, Row
-from rbfevo.figures.record import Array, Record
+from rbfevo.record import Array, Record
 
 RELIEF = LinearSegmentedColormap.from_list("relief", ["#ffffff", "#e3e3e1", "#a9a9a6"])
 
@@ -34,25 +34,23 @@ def rows(record: Record, choices: list[Choice]) -> list[Row]:
     if wanted.shape[1] == 1:
         low, high = float(wanted.min()), float(wanted.max())
         colors = Colors(Normalize(low, high if high > low else low + 1.0), RELIEF)
-        draw = _panel(record, lambda _: wanted[:, 0], colors, contours=True)
+        draw = panel(record, lambda _: wanted[:, 0], colors, contours=True)
         made.append(Row("target\nheight field", draw, colors, f"height {unit}"))
     colors = Colors(Normalize(0.0, float(errors.max())), style.ERROR)
-    made.append(Row("initial\nlocal error", _panel(record, lambda _: errors, colors), colors, f"local error {unit}"))
+    made.append(Row("initial\nlocal error", panel(record, lambda _: errors, colors), colors, f"local error {unit}"))
     if all(choice.reached is not None for choice in choices):
         left = {choice.index: local_error(wanted - scale * np.asarray(choice.reached)) for choice in choices}
         colors = Colors(Normalize(0.0, max(float(error.max()) for error in left.values()) or 1.0), style.ERROR)
-        draw = _panel(record, lambda choice: left[choice.index], colors)
+        draw = panel(record, lambda choice: left[choice.index], colors)
         made.append(Row("what the\nsetup leaves", draw, colors, f"local error {unit}"))
     return made
 
 
-def _panel(
+def panel(
     record: Record, values: Callable[[Choice], Array], colors: Colors, contours: bool = False
 ) -> Callable[[Axes, Choice], None]:
-    extent = record.upper - record.lower
-    order = [1, 0] if extent[1] > extent[0] else [0, 1]
-    names = np.array(["x", "y"])[order]
-    points = record.vertices[:, order]
+    """Return what draws the centers of a choice over values [n] of the vertices."""
+    points = record.vertices[:, _order(record)]
 
     def draw(axes: Axes, choice: Choice) -> None:
         value = values(choice)
@@ -64,15 +62,27 @@ def _panel(
                 axes.tricontour(mesh, value, levels=levels, colors=style.GREY, linewidths=0.35, alpha=0.6)
         else:
             axes.scatter(*points.T, c=value, cmap=colors.cmap, norm=colors.norm, s=4, linewidths=0)
-        centers = record.centers[choice.index][:, order]
-        dot = float(np.clip(30 * np.sqrt(25 / len(centers)), 4, 40))
-        axes.scatter(*centers.T, s=dot, color=style.RED, edgecolor="white", linewidth=0.6, zorder=3, clip_on=False)
-        axes.set_xlim(record.lower[order[0]], record.upper[order[0]])
-        axes.set_ylim(record.lower[order[1]], record.upper[order[1]])
-        axes.set_aspect("equal")
-        axes.locator_params(nbins=4)
-        axes.tick_params(labelsize=8, length=2.5)
-        axes.set_xlabel(names[0], labelpad=1)
-        axes.set_ylabel(names[1], labelpad=2)
+        place_centers(axes, record, choice)
 
     return draw
+
+
+def place_centers(axes: Axes, record: Record, choice: Choice) -> None:
+    """Draw the centers of a setup, and the box around them, the longer side lying."""
+    order = _order(record)
+    names = np.array(["x", "y"])[order]
+    centers = record.centers[choice.index][:, order]
+    dot = float(np.clip(30 * np.sqrt(25 / len(centers)), 4, 40))
+    axes.scatter(*centers.T, s=dot, color=style.RED, edgecolor="white", linewidth=0.6, zorder=3, clip_on=False)
+    axes.set_xlim(record.lower[order[0]], record.upper[order[0]])
+    axes.set_ylim(record.lower[order[1]], record.upper[order[1]])
+    axes.set_aspect("equal")
+    axes.locator_params(nbins=4)
+    axes.tick_params(labelsize=8, length=2.5)
+    axes.set_xlabel(names[0], labelpad=1)
+    axes.set_ylabel(names[1], labelpad=2)
+
+
+def _order(record: Record) -> list[int]:
+    extent = record.upper - record.lower
+    return [1, 0] if extent[1] > extent[0] else [0, 1]

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 FIGURES = ("front", "centers")
+FIT_FIGURES = ("fit",)
+SURFACES = ("centers", "fit")  # those that may need OpenGL
 TIMEOUT = 120.0  # seconds for one process; a 3-D picture takes some five
 USER_ERROR = 2
 
@@ -22,9 +24,14 @@ class Outcome(NamedTuple):
     warning: str | None
 
 
+def figures_of(run: Path) -> tuple[str, ...]:
+    """The figures of a directory: those of a fit where there is a fit.json, else those of a run."""
+    return FIT_FIGURES if (run / "fit.json").exists() else FIGURES
+
+
 def draw(run: Path) -> list[str]:
-    """Draw all figures of the run directory `run` and return one line for each thing that went wrong; never raises."""
-    return [outcome.warning for outcome in (draw_one(run, figure) for figure in FIGURES) if outcome.warning]
+    """Draw all figures of a run or a fit and return one line for each thing that went wrong; never raises."""
+    return [outcome.warning for outcome in (draw_one(run, figure) for figure in figures_of(run)) if outcome.warning]
 
 
 def draw_one(run: Path, figure: str) -> Outcome:
@@ -32,7 +39,7 @@ def draw_one(run: Path, figure: str) -> Outcome:
     code, reason = _attempt(command(run, figure))
     if code == 0:
         return Outcome(0, None)
-    if figure == "centers" and code != USER_ERROR and _attempt(command(run, figure, "--no-opengl"))[0] == 0:
+    if figure in SURFACES and code != USER_ERROR and _attempt(command(run, figure, "--no-opengl"))[0] == 0:
         return Outcome(0, f"{figure}.png was drawn without OpenGL: {reason}")
     return Outcome(USER_ERROR if code == USER_ERROR else 1, f"{figure}.png could not be drawn: {reason}")
 

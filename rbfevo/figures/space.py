@@ -12,8 +12,8 @@ from matplotlib.colors import Normalize, to_rgb
 from rbfevo.figures import style, surface
 from rbfevo.figures.local_error import local_error
 from rbfevo.figures.panels import Choice, Colors, Row
-from rbfevo.figures.record import Array, Record
 from rbfevo.figures.view import View, view_of
+from rbfevo.record import Array, Record
 
 CLAY = "#cfc3b4"
 SIDE = 2.7  # inches

@@ -10,17 +10,28 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 
 from rbfevo.figures import style
-from rbfevo.figures.record import Array
 from rbfevo.figures.view import View, hidden
+from rbfevo.record import Array
 
 PIXELS = 540  # as many as the panel has on paper
 GHOST = 0.4  # opacity of centers behind the surface
+AMBIENT, DIFFUSE = 0.45, 0.62  # shares of the light: what shades nothing, and what shades the surface
 
 
-def render(axes: Axes, view: View, vertices: Array, faces: Array, colors: Array, centers: Array, radius: float) -> None:
+def render(
+    axes: Axes,
+    view: View,
+    vertices: Array,
+    faces: Array,
+    colors: Array,
+    centers: Array,
+    radius: float,
+    ambient: float = AMBIENT,
+) -> None:
     """Show a surface with colours [n, 3] and red balls at `centers` [m, 3], an off-screen rendering by PyVista.
 
-    Balls behind the surface shine through: what they alone would show is blended over the surface.
+    Balls behind the surface shine through: what they alone would show is blended over the surface. The larger the share
+    `ambient` of the light, the closer the picture keeps to `colors`.
 
     Raises:
         RuntimeError: if the rendering stays empty, as it does with some broken OpenGL drivers.
@@ -45,8 +56,8 @@ def render(axes: Axes, view: View, vertices: Array, faces: Array, colors: Array,
         scalars=np.round(255 * colors).astype(np.uint8),
         rgb=True,
         smooth_shading=bool(len(faces)),
-        ambient=0.45,
-        diffuse=0.62,
+        ambient=ambient,
+        diffuse=AMBIENT + DIFFUSE - ambient,
         specular=0.05,
         point_size=4,
         show_scalar_bar=False,
@@ -77,7 +88,14 @@ def render(axes: Axes, view: View, vertices: Array, faces: Array, colors: Array,
 
 
 def project(
-    axes: Axes, view: View, vertices: Array, faces: Array, colors: Array, centers: Array, radius: float
+    axes: Axes,
+    view: View,
+    vertices: Array,
+    faces: Array,
+    colors: Array,
+    centers: Array,
+    radius: float,
+    ambient: float = AMBIENT,
 ) -> None:
     """Show the same by matplotlib alone: faces painted from back to front, with the light from the camera's left."""
     flat, near = view.project(vertices)
@@ -87,7 +105,7 @@ def project(
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
         light = view.towards + 0.6 * view.up - 0.5 * view.right
-        shade = 0.45 + 0.6 * np.abs(normals @ (light / np.linalg.norm(light)))
+        shade = ambient + (AMBIENT + DIFFUSE - ambient) * np.abs(normals @ (light / np.linalg.norm(light)))
         shown = np.clip(colors[faces[order]].mean(axis=1) * shade[:, None], 0, 1)
         axes.add_collection(
             PolyCollection(list(flat[faces[order]]), facecolors=shown, edgecolors=shown, linewidths=0.25)

@@ -1,4 +1,4 @@
-"""The one view that every 3-D panel shares: orthographic, from the front, the same scale everywhere."""
+"""The view that all 3-D panels of a picture share: orthographic, the same scale everywhere, mostly from the front."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rbfevo.figures.record import Array
+from rbfevo.record import Array
 
 FRONT = np.array([0.36, 0.20, 1.0])  # towards the camera: +z is the front, +y is up, slightly turned
 UP = np.array([0.0, 1.0, 0.0])
@@ -27,10 +27,13 @@ class View(NamedTuple):
         return np.stack([moved @ self.right, moved @ self.up], axis=1), moved @ self.towards
 
 
-def view_of(points: Array, margin: float) -> View:
-    """Return the view that shows all of `points` [q, 3] with `margin`, in their unit, around them."""
-    towards = FRONT / np.linalg.norm(FRONT)
-    right = np.cross(UP, towards)
+def view_of(points: Array, margin: float, front: Array = FRONT, upward: Array = UP) -> View:
+    """Return the view that shows all of `points` [q, 3] with `margin`, in their unit, around them.
+
+    The camera stands where `front` [3] points, and `upward` [3] is up in the picture.
+    """
+    towards = front / np.linalg.norm(front)
+    right = np.cross(upward, towards)
     right /= np.linalg.norm(right)
     up = np.cross(towards, right)
     axes = np.stack([right, up, towards])

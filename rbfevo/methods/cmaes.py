@@ -8,6 +8,9 @@ ours:
 - Selection is of `parents` among `offspring`: eq. 49 with 2 parents in place of lambda weighs the best `parents` and
   the worst as many (pycma's rule for CMA_mu); the ranks between weigh 0. For parents = offspring / 2 it is eq. 49.
 - The box is handled by a change of coordinates (`Box`), so that selection, paths and C never see a repaired point.
+
+Without covariance (C = I for good, eq. 43 and 44 alone) it is the (mu/mu_w, lambda)-CSA-ES, an isotropic evolution
+strategy that feels how badly conditioned its parameters are.
 """
 
 from __future__ import annotations
@@ -48,8 +51,11 @@ class Strategy:
     chi: float
 
     @staticmethod
-    def default(n: int, parents: int, offspring: int) -> Strategy:
-        """Defaults for dimension `n`; weights of the ranks between the best `parents` and the worst are 0."""
+    def default(n: int, parents: int, offspring: int, covariance: bool = True) -> Strategy:
+        """Defaults for dimension `n`; weights of the ranks between the best `parents` and the worst are 0.
+
+        Without `covariance`, c_1 = c_mu = 0 and no rank below the best `parents` weighs anything.
+        """
         raw = [math.log(parents + 0.5) - math.log(i) for i in range(1, 2 * parents + 1)]  # eq. 49
         best, worst = raw[:parents], raw[parents:][max(0, 2 * parents - offspring) :]
         mu_eff = sum(best) ** 2 / sum(w * w for w in best)  # eq. 8
@@ -59,7 +65,9 @@ class Strategy:
         c_1 = 2 / ((n + 1.3) ** 2 + mu_eff)  # eq. 57
         c_mu = min(1 - c_1, 2 * (0.25 + mu_eff + 1 / mu_eff - 2) / ((n + 2) ** 2 + mu_eff))  # eq. 58
         negative: tuple[float, ...] = ()
-        if worst:
+        if not covariance:
+            c_1 = c_mu = 0.0
+        elif worst:
             mu_eff_minus = sum(worst) ** 2 / sum(w * w for w in worst)
             mass = min(
                 1 + c_1 / c_mu,  # eq. 50
@@ -142,6 +150,8 @@ class CMAES:
         lower, upper: [D] bounds, in the unit of `mean`.
         generators: B generators; element b draws its [offspring, D] normals of a generation in one call from the b-th.
         parents, offspring: mu and lambda.
+        covariance: whether C adapts; otherwise C = I, only the step size adapts, and a generation costs no more than
+            its normals and sorting.
 
     Attributes:
         best: [B, D] the best point told so far, the start until there is one.
@@ -164,20 +174,26 @@ class CMAES:
         generators: Sequence[torch.Generator],
         parents: int = 25,
         offspring: int = 100,
+        covariance: bool = True,
     ) -> None:
         mean, lower, upper = (t.detach().to(mean.device, torch.float64) for t in (mean, lower, upper))
         _check(mean, sigma, lower, upper, len(generators), parents, offspring)
         B, D = mean.shape
-        self.strategy = s = Strategy.default(D, parents, offspring)
+        self.strategy = s = Strategy.default(D, parents, offspring, covariance)
         self.box = Box(lower, upper, sigma)
         self.generation = 0
         self.best, self.best_fitness = mean.clone(), mean.new_full((B,), -math.inf)
         self.sigma = mean.new_full((B,), float(sigma))
         self._generators, self._offspring, self._start_sigma = list(generators), offspring, float(sigma)
         self._m = self.box.to_search(mean).clone()
-        self._p_sigma, self._p_c = torch.zeros_like(mean), torch.zeros_like(mean)
-        self._C = torch.eye(D, dtype=mean.dtype, device=mean.device).repeat(B, 1, 1)
-        self._root = self._C.clone()
+        self._p_sigma = torch.zeros_like(mean)
+        self._covariance = covariance
+        self._state = ("_m", "sigma", "_p_sigma", "best", "best_fitness", "_z", "_x")
+        if covariance:
+            self._p_c = torch.zeros_like(mean)
+            self._C = torch.eye(D, dtype=mean.dtype, device=mean.device).repeat(B, 1, 1)
+            self._root = self._C.clone()
+            self._state = ("_m", "sigma", "_C", "_root", "_p_sigma", "_p_c", "best", "best_fitness", "_z", "_x")
         self._z: Tensor | None = None
         self._x: Tensor | None = None
         self._positive, self._negative = mean.new_tensor(s.positive), mean.new_tensor(s.negative)
@@ -188,7 +204,7 @@ class CMAES:
         # that C must not change much meanwhile, so here it is a share of C's memory whatever n: at (25, 100) every
         # generation up to n = 49, every 2nd at 50, every 4th at 75. Ellipsoid and Rosenbrock there took at most 0.6%
         # more evaluations than when decomposing every generation (3% for a share of 0.05).
-        self._wait = max(1, int(STALENESS / (s.c_1 + s.c_mu)))
+        self._wait = max(1, int(STALENESS / (s.c_1 + s.c_mu))) if covariance else 0
 
     @property
     def mean(self) -> Tensor:
@@ -207,7 +223,7 @@ class CMAES:
                 z[b].normal_(generator=generator)  # eq. 38
             else:
                 z[b] = torch.empty(z.shape[1:], dtype=z.dtype, device=generator.device).normal_(generator=generator)
-        y = z @ self._root  # eq. 39
+        y = z @ self._root if self._covariance else z  # eq. 39
         self._z, self._x = z, self.box.to_box(self._m[:, None] + self.sigma[:, None, None] * y)  # eq. 40
         return self._x.clone()
 
@@ -224,14 +240,14 @@ class CMAES:
         if fitness.shape != self._z.shape[:2]:
             expected, given = list(self._z.shape[:2]), list(fitness.shape)
             raise UserError(f"CMAES.tell: fitness must be [elements, offspring] = {expected}, not {given}")
-        s, n = self.strategy, self._m.shape[1]
+        s = self.strategy
         f = fitness.detach().to(self._m)
         f = torch.where(f.isnan(), -math.inf, f)
         order = f.argsort(dim=1, descending=True, stable=True)
         self._keep_best(f, self._x, order[:, :1])
 
         z = self._z.take_along_dim(order[:, self._weighed, None], 1)  # the weighed offspring, best to worst
-        y = z @ self._root
+        y = z @ self._root if self._covariance else z
         mu = len(s.positive)
         y_w, z_w = self._positive @ y[:, :mu], self._positive @ z[:, :mu]  # eq. 41; z_w = C^(-1/2) y_w
         m = self._m + self.sigma[:, None] * y_w  # eq. 42, c_m = 1 (eq. 54)
@@ -241,26 +257,36 @@ class CMAES:
         change = s.c_sigma / s.d_sigma * (length / s.chi - 1)
         sigma = (self.sigma * change.clamp(max=1).exp()).clamp(*STEP_RANGE)  # eq. 44, by no more than e at once
 
+        told = (f.amax(1) > f.amin(1))[:, None]  # else there is nothing to learn from
+        if self._covariance:
+            self._adapt(told, y, y_w, z[:, mu:], length)
+        self._m, self._p_sigma = torch.where(told, m, self._m), torch.where(told, p_sigma, self._p_sigma)
+        self.sigma = torch.where(told[:, 0], sigma, self.sigma)
+        self._z = self._x = None
+        self.generation += 1
+        if not self._covariance:
+            self.sigma = self.sigma.clamp(max=self._widest.amin())
+        elif self.generation % self._wait == 0:
+            self._decompose()
+
+    def _adapt(self, told: Tensor, y: Tensor, y_w: Tensor, worst: Tensor, length: Tensor) -> None:
+        """Move C and its path of the elements `told` [B, 1] something, by the weighed steps y [B, weighed, D].
+
+        `worst` [B, negative, D] are the normals of those with negative weights, `length` [B] is |p_sigma|.
+        """
+        s, n, mu = self.strategy, y.shape[2], len(self.strategy.positive)
         unbiased = math.sqrt(1 - (1 - s.c_sigma) ** (2 * (self.generation + 1)))
-        h = (length / unbiased < (1.4 + 2 / (n + 1)) * s.chi).to(m)[:, None]
+        h = (length / unbiased < (1.4 + 2 / (n + 1)) * s.chi).to(y)[:, None]
         p_c = (1 - s.c_c) * self._p_c + h * math.sqrt(s.c_c * (2 - s.c_c) * s.mu_eff) * y_w  # eq. 45
-        negative = self._negative * n / z[:, mu:].square().sum(2).clamp(min=1e-300)  # eq. 46: |C^(-1/2) y|^2 = |z|^2
-        w = torch.cat([self._positive.expand(len(m), mu), negative], 1)
+        negative = self._negative * n / worst.square().sum(2).clamp(min=1e-300)  # eq. 46: |C^(-1/2) y|^2 = |z|^2
+        w = torch.cat([self._positive.expand(len(y), mu), negative], 1)
         total = sum(s.positive) + sum(s.negative)
         delta = (1 - h) * s.c_c * (2 - s.c_c)
         keep = 1 + s.c_1 * delta - s.c_1 - s.c_mu * total
         rank_mu = (w[..., None] * y).mT @ y
         C = keep[..., None] * self._C + s.c_1 * p_c[..., None] * p_c[:, None] + s.c_mu * rank_mu  # eq. 47
-
-        told = (f.amax(1) > f.amin(1))[:, None]  # else there is nothing to learn from
-        self._m, self._p_c = torch.where(told, m, self._m), torch.where(told, p_c, self._p_c)
-        self._p_sigma = torch.where(told, p_sigma, self._p_sigma)
-        self.sigma = torch.where(told[:, 0], sigma, self.sigma)
+        self._p_c = torch.where(told, p_c, self._p_c)
         self._C = torch.where(told[..., None], C, self._C)
-        self._z = self._x = None
-        self.generation += 1
-        if self.generation % self._wait == 0:
-            self._decompose()
 
     def _keep_best(self, f: Tensor, x: Tensor, first: Tensor) -> None:
         top = f.take_along_dim(first, 1)[:, 0]
@@ -294,12 +320,17 @@ class CMAES:
         self._p_sigma = torch.where(sound, self._p_sigma, 0.0)
         self.sigma = (sigma * scale[:, 0].sqrt()).clamp(*STEP_RANGE)
 
-    _STATE = ("_m", "sigma", "_C", "_root", "_p_sigma", "_p_c", "best", "best_fitness", "_z", "_x")
+    def retain(self, elements: Tensor) -> None:
+        """Go on with `elements` [B] (bool) alone; they go on as they would have beside the others."""
+        for name in self._state:
+            value = getattr(self, name)
+            setattr(self, name, None if value is None else value[elements])
+        self._generators = [g for g, kept in zip(self._generators, elements.tolist(), strict=True) if kept]
 
     def state_dict(self) -> dict[str, Any]:
         """All that changes, as plain tensors (copies) and numbers, the generators' states among them."""
         state: dict[str, Any] = {"generation": self.generation}
-        for name in self._STATE:
+        for name in self._state:
             value = getattr(self, name)
             state[name.removeprefix("_")] = None if value is None else value.clone()
         state["generators"] = [generator.get_state() for generator in self._generators]
@@ -311,14 +342,14 @@ class CMAES:
         Raises:
             UserError: if the state does not fit.
         """
-        expected = {"generation", "generators"} | {name.removeprefix("_") for name in self._STATE}
+        expected = {"generation", "generators"} | {name.removeprefix("_") for name in self._state}
         if set(state) != expected or len(state["generators"]) != len(self._generators):
             raise UserError(
                 "CMAES.load_state_dict: this is not the state of a CMAES of as many elements; check the checkpoint"
             )
         B, D = self._m.shape
         offspring = {"_z": (B, self._offspring, D), "_x": (B, self._offspring, D)}  # None between tell and ask
-        values = {name: state[name.removeprefix("_")] for name in self._STATE}
+        values = {name: state[name.removeprefix("_")] for name in self._state}
         for name, value in values.items():
             shape = offspring.get(name) or tuple(getattr(self, name).shape)
             fits = name in offspring if value is None else tuple(value.shape) == shape

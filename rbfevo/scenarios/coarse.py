@@ -16,7 +16,8 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
 
     Each compact cell becomes one vertex: the weighted mean of its vertices and of their g, with the sum of their
     weights. Sums over the vertices then keep their value but for the square of the cells' size. The means lose what g
-    does within a cell: its norm falls below 1, and P with it (see `matched`). It has no faces.
+    does within a cell: its norm falls below 1, and P with it (see `matched`). It has no faces, and its target
+    is fixed.
     """
     n = len(scenario.vertices)
     if n <= count:
@@ -36,6 +37,8 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
         faces=scenario.faces[:0],
         gradient=total(blocks.g.T * roots) / weights,
         weights=weights[:, 0],
+        closest=None,
+        stays=None,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ Points = NDArray[np.float64]
 Triangles = NDArray[np.int64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
+Query = Callable[[Points], tuple[Points, Indices]]  # points [p, 3] -> closest points [p, 3] and what they are in [p]
 
 _TOUCHING = 1e-9  # of the scan's size: closest points on an edge are that exact
 _NEIGHBOURS = 24
@@ -24,11 +26,20 @@ def closest_on_surface(points: Points, vertices: Points, triangles: Triangles) -
 
     Returned with it is the triangle [p] it lies in; where several meet, any of them.
     """
+    return surface_query(vertices, triangles)(points)
+
+
+def surface_query(vertices: Points, triangles: Triangles) -> Query:
+    """Return `closest_on_surface` for one surface, to be asked many times: the search tree is built once."""
     import pyvista
 
     surface = pyvista.PolyData.from_regular_faces(vertices, triangles)
-    found: Any = surface.find_closest_cell(points, return_closest_point=True)
-    return np.asarray(found[1], np.float64), np.asarray(found[0], np.int64)
+
+    def query(points: Points) -> tuple[Points, Indices]:
+        found: Any = surface.find_closest_cell(points, return_closest_point=True)
+        return np.asarray(found[1], np.float64).reshape(-1, 3), np.asarray(found[0], np.int64).reshape(-1)
+
+    return query
 
 
 def on_open_boundary(closest: Points, triangle: Indices, vertices: Points, triangles: Triangles) -> Mask:
@@ -69,8 +80,18 @@ def from_behind(triangle: Indices, outward: Points, kept: Mask, vertices: Points
 
 def closest_in_cloud(points: Points, cloud: Points) -> tuple[Points, Indices]:
     """Find the closest point [p, 3] of `cloud` [n, 3] to each of points [p, 3], and its index [p]."""
-    _, index = KDTree(cloud).query(points)
-    return cloud[index], np.asarray(index, np.int64)
+    return cloud_query(cloud)(points)
+
+
+def cloud_query(cloud: Points) -> Query:
+    """Return `closest_in_cloud` for one cloud, to be asked many times: the search tree is built once."""
+    tree = KDTree(cloud)
+
+    def query(points: Points) -> tuple[Points, Indices]:
+        _, index = tree.query(points)
+        return cloud[index], np.asarray(index, np.int64)
+
+    return query
 
 
 def beyond_rim(points: Points, index: Indices, cloud: Points) -> Mask:

@@ -65,7 +65,8 @@ def face(
     notes["scan frame"] = f"up {up} -> +y, front {front} -> +z, times {scale:.6g}, front at z = 1"
 
     sphere, faces = _icosphere(subdivisions)
-    displacement, rejected, facts = _displacements(sphere, vertices, triangles, reject)
+    query = _query(vertices, triangles)
+    displacement, rejected, facts = _displacements(query, sphere, vertices, triangles, reject)
     notes |= facts
     if rejected.all():
         raise UserError(
@@ -86,6 +87,8 @@ def face(
         sample=_sample_sphere,
         gradient_norm=norm,
         notes=notes,
+        closest=lambda points: query(points)[0],
+        stays=torch.from_numpy(rejected),
     )
 
 
@@ -114,7 +117,15 @@ def _icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int64
     return np.array(sphere.vertices, np.float64), np.array(sphere.faces, np.int64)
 
 
+def _query(vertices: NDArray[np.float64], triangles: NDArray[np.int64] | None) -> correspondence.Query:
+    """Closest points of the scan, and the triangle or the point of the cloud that each of them is in."""
+    if triangles is None:
+        return correspondence.cloud_query(vertices)
+    return correspondence.surface_query(vertices, triangles)
+
+
 def _displacements(
+    query: correspondence.Query,
     sphere: NDArray[np.float64],
     vertices: NDArray[np.float64],
     triangles: NDArray[np.int64] | None,
@@ -123,11 +134,11 @@ def _displacements(
     """Pair the sphere's vertices [n, 3] with the scan; return displacements [n, 3], the rejected [n], and notes."""
     rejected = behind = np.zeros(len(sphere), bool)
     if triangles is None:
-        closest, index = correspondence.closest_in_cloud(sphere, vertices)
+        closest, index = query(sphere)
         if reject == "boundary":
             rejected = correspondence.beyond_rim(sphere, index, vertices)
     else:
-        closest, triangle = correspondence.closest_on_surface(sphere, vertices, triangles)
+        closest, triangle = query(sphere)
         if reject == "boundary":
             rejected = correspondence.on_open_boundary(closest, triangle, vertices, triangles)
         behind = correspondence.from_behind(triangle, sphere, ~rejected, vertices, triangles)

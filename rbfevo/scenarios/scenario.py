@@ -6,12 +6,15 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
 
 Sampler = Callable[[int, int, torch.Generator], Tensor]
+Closest = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,6 +32,10 @@ class Scenario:
         sample: (count, m, generator) -> [count, m, d] random centers inside the box.
         gradient_norm: the norm that g had before it was scaled (model units; displacement = gradient * gradient_norm).
         notes: facts worth a line in the run's log and summary (what was rejected, what the scan was, ...).
+        closest: points [q, 3] -> the closest points [q, 3] of a target that may be met anywhere (NumPy, on the host);
+            None where the wanted displacement is fixed.
+        stays: [n] bool, the vertices that have no pair on that target and are to stay where they are; None if all
+            have one.
     """
 
     name: str
@@ -42,6 +49,8 @@ class Scenario:
     sample: Sampler
     gradient_norm: float = 1.0
     notes: dict[str, str] = dataclasses.field(default_factory=dict)
+    closest: Closest | None = None
+    stays: Tensor | None = None
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
@@ -50,6 +59,7 @@ class Scenario:
             or self.weights.shape != (n,)
             or self.lower.shape != (d,)
             or self.upper.shape != (d,)
+            or (self.stays is not None and self.stays.shape != (n,))
         ):
             raise UserError(f"scenario {self.name}: vertices, gradient, weights and box do not fit together")
         for name in ("vertices", "gradient", "weights", "lower", "upper"):
@@ -58,8 +68,9 @@ class Scenario:
 
     def to(self, device: torch.device) -> Scenario:
         """The same scenario with its tensors on `device`."""
-        names = ("vertices", "faces", "gradient", "weights", "lower", "upper")
-        moved: dict[str, Any] = {name: getattr(self, name).to(device) for name in names}
+        names = ("vertices", "faces", "gradient", "weights", "lower", "upper", "stays")
+        values = {name: getattr(self, name) for name in names}
+        moved: dict[str, Any] = {name: value.to(device) for name, value in values.items() if value is not None}
         return dataclasses.replace(self, **moved)
 
 

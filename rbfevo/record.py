@@ -1,4 +1,7 @@
-"""What a figure knows of a run: the arrays and the summary in its directory (DESIGN, section 5), checked once."""
+"""What a run's files tell without torch: the arrays and the summary in its directory (DESIGN, section 5), checked.
+
+Figures, picks and fits read a run through this and nothing else of it, so that they work on any run at any time.
+"""
 
 from __future__ import annotations
 
@@ -51,6 +54,11 @@ class Record:
         return np.isfinite(self.regularity) & np.isfinite(self.improvement_potential)
 
     @property
+    def usable(self) -> Array:
+        """Indices of the setups with finite scores and finite centers."""
+        return np.flatnonzero(self.scored & np.isfinite(self.centers).all(axis=(1, 2)))
+
+    @property
     def front(self) -> Array:
         """Indices of the nondominated setups, by rising regularity, the better one first where it ties."""
         members = np.flatnonzero(self.nondominated & self.scored)
@@ -96,6 +104,49 @@ def read(run: Path) -> Record:
     return Record(**setups, **scenario, summary=summary)
 
 
+FIT = ("centers", "parameters", "deformed", "local_error", "moved_centers")
+
+
+@dataclasses.dataclass(frozen=True)
+class FitRecord:
+    """A fit as its files tell it (NumPy, float64), and the run that its setup comes from.
+
+    Attributes:
+        deformed: [n, 3] vertices of the deformed design; on a plane the height is the third coordinate.
+        local_error: [n] what is left at each vertex, model units; moved_centers: [m, 3].
+        errors: [generations + 1] errors of the mean, the start first; centers, parameters: [m, d], [m, k].
+        summary: fit.json.
+    """
+
+    run: Record
+    centers: Array
+    parameters: Array
+    deformed: Array
+    local_error: Array
+    moved_centers: Array
+    errors: Array
+    summary: dict[str, Any]
+
+
+def read_fit(directory: Path) -> FitRecord:
+    """Read fit.json, parameters.npz and history.csv of a fit, and the run directory that fit.json names.
+
+    Raises:
+        UserError: if one of them is missing, unreadable, or does not fit the others.
+    """
+    summary = _load(directory / "fit.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
+    arrays = _arrays(directory / "parameters.npz", FIT)
+    lines = _load(directory / "history.csv", lambda path: np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2))
+    if not isinstance(summary, dict) or not isinstance(summary.get("run"), str) or lines.shape[1] != 3:
+        raise UserError(f"{directory}: fit.json and history.csv are not those of a fit")
+    run = read((directory / summary["run"]).resolve())
+    n, m = len(run.vertices), len(arrays["centers"])
+    fitting = arrays["deformed"].shape == (n, 3) and len(arrays["local_error"]) == n
+    if not fitting or arrays["moved_centers"].shape != (m, 3):
+        raise UserError(f"{directory} does not fit the run {summary['run']} that it was made from")
+    return FitRecord(run=run, **arrays, errors=lines[:, 1], summary=summary)
+
+
 def knee(record: Record) -> int | None:
     """Return the nondominated row farthest from the chord between the front's ends, the lowest of equals; None without.
 
@@ -125,6 +176,6 @@ def _load(path: Path, load: Any) -> Any:
     except FileNotFoundError:
         raise UserError(f"{path} is missing: is {path.parent} a finished run?") from None
     except KeyError as error:
-        raise UserError(f"{path} cannot be drawn: {error.args[0]}") from None
+        raise UserError(f"{path} cannot be used: {error.args[0]}") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None

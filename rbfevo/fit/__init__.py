@@ -1,0 +1,43 @@
+"""The design optimization that a setup is made for: an evolution strategy moves the parameters P of X' = X + U P.
+
+Regularity R is there to predict how fast it converges, improvement potential P how far it gets. The library call is
+
+    fits(scenario, kernel, centers, manipulation="indirect", strategy="isotropic", *, generators, generations=5000,
+         within=0.05, smoothness=0.0, parents=25, population=100, optima=None, say=None, stop=None) -> list[Fit]
+
+with centers [B, m, d] of B setups, which run as one batch, and one generator each. `manipulation` is one of
+`MANIPULATIONS` (or B of them), `strategy` one of `STRATEGIES`. A `Fit` says when and why its element stopped, its
+errors by generation, its optimum and its parameters [m, k]. An element that cannot be fitted (a singular Psi, a
+rank-deficient Phi) comes back with the reason and NaNs, and costs the others nothing. After every generation
+`say(generation, running, ratio)` hears how many elements still run and the largest error over optimum among them; all
+end where `stop()` is true.
+
+`deformation` gives U, R and P of one setup under a manipulation, `Objective` the error and its optimum.
+`python -m rbfevo.fit RUN --pick knee` does it for a setup of a run directory.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rbfevo.fit.manipulations import MANIPULATIONS, Deformation, deformation
+    from rbfevo.fit.objective import Objective
+    from rbfevo.fit.strategy import STRATEGIES, Fit, fits
+
+__all__ = ["MANIPULATIONS", "STRATEGIES", "Deformation", "Fit", "Objective", "deformation", "fits"]
+
+_MODULES = {
+    "manipulations": ("MANIPULATIONS", "Deformation", "deformation"),
+    "objective": ("Objective",),
+    "strategy": ("STRATEGIES", "Fit", "fits"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import on first use: the command line refuses a mistake before it waits for torch."""
+    for module, names in _MODULES.items():
+        if name in names:
+            return getattr(importlib.import_module(f"rbfevo.fit.{module}"), name)
+    raise AttributeError(f"module 'rbfevo.fit' has no attribute {name!r}")

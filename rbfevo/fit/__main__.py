@@ -1,0 +1,194 @@
+"""`python -m rbfevo.fit RUN --pick knee`: optimize the design with a setup of a run, and see how it goes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from rbfevo.errors import UserError
+from rbfevo.picks import PICKS, pick
+from rbfevo.record import Record, read
+
+LINE_EVERY = 10.0  # seconds between lines of progress
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose complaints are one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise UserError(f"{message}; see python -m rbfevo.fit --help")
+
+
+def parser() -> Parser:
+    """The options; their defaults are those of `fits`."""
+    made = Parser(prog="python -m rbfevo.fit", description=__doc__, allow_abbrev=False)
+    made.add_argument("run", type=Path, metavar="RUN", help="a run directory")
+    made.add_argument("--pick", required=True, help=f"which setup: {', '.join(PICKS)}")
+    made.add_argument("--manipulation", help="indirect, direct or orthogonalized; the run's unless given")
+    made.add_argument("--strategy", default="isotropic", help="isotropic (only the step size adapts) or cmaes")
+    made.add_argument("--seed", type=int, default=0)
+    made.add_argument("--generations", type=int, default=5000, help="at most so many (5000)")
+    made.add_argument("--within", type=float, default=0.05, help="of the optimum, where the fit stops (0.05)")
+    made.add_argument("--smoothness", type=float, default=0.0, help="weight of the Laplacian's term, scans only (0)")
+    made.add_argument("--parents", type=int, default=25)
+    made.add_argument("--population", type=int, default=100)
+    made.add_argument("--out", type=Path, help="directory to write; RUN/fit-PICK-MANIPULATION-STRATEGY-seedN")
+    made.add_argument("--quiet", action="store_true", help="say nothing")
+    return made
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Carry out the command line; return 0, 2 for a user's mistake, or 130 and 143 after SIGINT and SIGTERM."""
+    try:
+        options = parser().parse_args(arguments)
+        return carry_out(options)
+    except UserError as error:
+        print(f"rbfevo.fit: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+
+
+def carry_out(options: argparse.Namespace) -> int:
+    """One fit into its directory.
+
+    Raises:
+        UserError: for a user's mistake; nothing is written then.
+    """
+    record = read(options.run)
+    row = pick(record, options.pick)
+    if not 0 <= options.seed < 2**63:
+        raise UserError(f"--seed {options.seed}: choose a whole number from 0 to 2^63 - 1")
+
+    import torch  # takes seconds: only once the run and the pick are known to exist
+
+    from rbfevo import figures
+    from rbfevo.fit import results, source, strategy
+    from rbfevo.methods.stage import random_stream
+    from rbfevo.run import Interruption
+    from rbfevo.threads import coarse
+
+    say = (lambda _: None) if options.quiet else (lambda line: print(line, flush=True))
+    with Interruption() as interruption, coarse():
+        origin = source.rebuild(options.run, record)
+        manipulation = options.manipulation or origin.manipulation
+        out = options.out or options.run / (
+            f"fit-{options.pick.strip().replace(':', '-')}-{manipulation}-{options.strategy}-seed{options.seed}"
+        )
+        from rbfevo.storage import refuse_results
+
+        refuse_results(out, results.RESULTS, "--out")
+        centers = torch.from_numpy(record.centers[row])
+        say(f"{options.pick}: row {row} of {options.run}, {manipulation} manipulation, {options.strategy} strategy")
+        start = time.perf_counter()
+        (fit,) = strategy.fits(
+            origin.scenario,
+            origin.kernel,
+            centers[None],
+            manipulation,
+            options.strategy,
+            generators=[random_stream(options.seed, "fit")],
+            generations=options.generations,
+            within=options.within,
+            smoothness=options.smoothness,
+            parents=options.parents,
+            population=options.population,
+            say=None if options.quiet else Progress(options.generations, start),
+            stop=lambda: interruption.signal is not None,
+        )
+        seconds = time.perf_counter() - start
+        if fit.stop.startswith("not fitted"):
+            raise UserError(f"{options.run}, row {row}, {manipulation}: {fit.stop}")
+        summary = contents(options, record, row, out, manipulation, fit, seconds, interruption.signal)
+        results.write_fit(out, origin, centers, fit, summary)
+    for warning in figures.draw(out):
+        say(f"warning: {warning}")
+    for line in closing(summary, out):
+        say(line)
+    return 0 if interruption.signal is None else 128 + interruption.signal
+
+
+class Progress:
+    """A line now and then."""
+
+    def __init__(self, generations: int, start: float) -> None:
+        self.generations, self._last = generations, start - 0.8 * LINE_EVERY  # the first line comes soon
+
+    def __call__(self, generation: int, running: int, ratio: float) -> None:
+        now = time.perf_counter()
+        if now - self._last >= LINE_EVERY:
+            self._last = now
+            print(f"generation {generation} of at most {self.generations}: {ratio:.4g} times the optimum", flush=True)
+
+
+def contents(
+    options: argparse.Namespace,
+    record: Record,
+    row: int,
+    out: Path,
+    manipulation: str,
+    fit: Any,
+    seconds: float,
+    interrupted: int | None,
+) -> dict[str, Any]:
+    """The contents of fit.json; errors in squared model units."""
+    from rbfevo.run import versions
+
+    preference = float(record.preference[row])
+    stop = fit.stop if interrupted is None else f"interrupted by {signal.Signals(interrupted).name}"
+    return {
+        # From here to there, so that a run directory can be moved with the fits in it.
+        "run": os.path.relpath(options.run.resolve(), out.resolve()),
+        "pick": options.pick.strip(),
+        "row": row,
+        "method": str(record.method[row]),
+        "preference": preference if preference == preference else None,
+        "scenario": record.summary.get("scenario"),
+        "kernel": record.summary.get("kernel"),
+        "support": record.summary.get("support"),
+        "centers": int(record.centers.shape[1]),
+        "manipulation": manipulation,
+        "strategy": options.strategy,
+        "seed": options.seed,
+        "parents": options.parents,
+        "population": options.population,
+        "generations_limit": options.generations,
+        "within": options.within,
+        "smoothness": options.smoothness,
+        "regularity": fit.regularity,
+        "improvement_potential": fit.improvement_potential,
+        "start_error": fit.start_error,
+        "optimum": fit.optimum,
+        "optimum_iterations": fit.optimum_iterations,
+        "error": fit.error,
+        "generations": fit.generations,
+        "reached": fit.reached,
+        "evaluations": fit.evaluations,
+        "seconds": seconds,
+        "stop_reason": stop,
+        "versions": versions(),
+    }
+
+
+def closing(summary: dict[str, Any], out: Path) -> list[str]:
+    """The last lines on the screen."""
+    share = summary["error"] / summary["optimum"] - 1 if summary["optimum"] > 0 else float("inf")
+    stop = summary["stop_reason"]
+    how = stop if stop != "generations" else "not reached"
+    goal = f"within {100 * summary['within']:.3g}% of the optimum"
+    return [
+        f"R = {summary['regularity']:.4g}, P = {summary['improvement_potential']:.4f}",
+        f"error: {summary['start_error']:.6g} at the start, {summary['error']:.6g} now, "
+        f"{summary['optimum']:.6g} at the optimum ({share:.1%} above it)",
+        f"{goal}: {how} after {summary['generations']} generations, "
+        f"{summary['evaluations']} evaluations, {summary['seconds']:.1f} s",
+        f"files: {out}",
+    ]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,83 @@
+"""What the design parameters of a setup are: weights, displacements of the centers, or orthonormal directions."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from rbfevo.deformation import RBFDeformation
+from rbfevo.errors import UserError
+from rbfevo.evolvability import evolvability, singular
+from rbfevo.kernels import Kernel, distances
+from rbfevo.scenarios.scenario import Scenario
+
+MANIPULATIONS = ("indirect", "direct", "orthogonalized")
+
+
+class Deformation(NamedTuple):
+    """The deformation X' = X + U P of one setup under one manipulation, U = Phi M^-1.
+
+    Attributes:
+        U: [n, m].
+        M: [m, m], so that the RBF weights of parameters P [m, k] are M^-1 P.
+        regularity: R of U; improvement_potential: P of U; both in [0, 1] and the larger the better (paper, eqs. 7, 8).
+    """
+
+    U: Tensor
+    M: Tensor
+    regularity: float
+    improvement_potential: float
+
+    def weights(self, parameters: Tensor) -> Tensor:
+        """The RBF weights [*batch, m, k] of parameters [*batch, m, k]: u(x) = sum_j weights_j phi(|c_j - x|)."""
+        return torch.linalg.solve(self.M, parameters)
+
+
+def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulation: str) -> Deformation:
+    """The deformation of one setup: indirect U = Phi (paper, eq. 2), direct U = Phi Psi^-1 (eq. 4), orthogonalized.
+
+    Orthogonalized is the thin Q of the QR decomposition of Phi, rows weighted: the same designs are within reach, at
+    R = 1 (proposed by Richter et al., GECCO 2018).
+
+    Args:
+        scenario, kernel: the design and phi.
+        centers: [m, d], model units.
+        manipulation: one of `MANIPULATIONS`.
+
+    Raises:
+        UserError: for another manipulation, centers that do not fit the design or are not finite, a numerically
+            rank-deficient Phi, and, if direct, a numerically singular Psi.
+    """
+    if manipulation not in MANIPULATIONS:
+        raise UserError(
+            f"manipulation={manipulation}: there is no such manipulation; choose one of {', '.join(MANIPULATIONS)}"
+        )
+    n, d = scenario.vertices.shape
+    if centers.ndim != 2 or centers.shape[1] != d or not 1 <= len(centers) <= n:
+        raise UserError(f"a setup must be [m, {d}] with 1 <= m <= {n}, not {list(centers.shape)}")
+    m, root = len(centers), scenario.weights.sqrt()[:, None]
+    Phi = RBFDeformation(scenario.vertices, kernel).phi(centers)
+    if not bool(centers.isfinite().all() and Phi.isfinite().all()):
+        raise UserError("the setup has centers that are not finite")
+    regularity, potential, variability = evolvability(Phi, scenario.gradient, scenario.weights)
+    rank = round(float(variability) * n)
+    if rank < m:
+        raise UserError(
+            f"Phi is numerically rank-deficient ({rank} of {m} columns are independent): choose other centers"
+        )
+    if manipulation == "indirect":
+        return Deformation(Phi, torch.eye(m, dtype=Phi.dtype), float(regularity), float(potential))
+    if manipulation == "direct":
+        M = kernel(distances(centers, centers))
+        inverse, _ = torch.linalg.inv_ex(M)
+        if bool(singular(M, inverse)):
+            raise UserError("Psi is numerically singular, so that these centers cannot be moved directly: "
+                            "choose other centers or another manipulation")  # fmt: skip
+        U = torch.linalg.solve(M.mT, Phi.mT).mT
+    else:
+        Q, M = torch.linalg.qr(root * Phi)
+        U = Q / root
+    sigma = torch.linalg.svdvals(root * U)
+    return Deformation(U, M, float(sigma[-1] / sigma[0]), float(potential))

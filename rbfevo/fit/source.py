@@ -1,0 +1,66 @@
+"""Scenario and kernel of a run, built again from the configuration that Hydra left in its directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from rbfevo.config import build, check
+from rbfevo.errors import UserError
+from rbfevo.kernels import Kernel
+from rbfevo.record import Record
+from rbfevo.scenarios.scenario import Scenario
+
+SAME = 1e-9  # how far vertices and gradient may be from those of the files, which another machine may have rounded
+
+
+class Source(NamedTuple):
+    """What a run scored its setups on: the scenario, the kernel, and how the design is manipulated."""
+
+    scenario: Scenario
+    kernel: Kernel
+    manipulation: str
+
+
+def rebuild(run: Path, record: Record) -> Source:
+    """Build the scenario and kernel of a run again, and see that they are those of its files.
+
+    A relative path of a scan is looked for here, and then in the directory that the run was started from.
+
+    Raises:
+        UserError: if the configuration is missing or wrong, or the scenario is another one by now.
+    """
+    config = _load(run / ".hydra" / "config.yaml")
+    scan = OmegaConf.select(config, "scenario.scan")
+    if isinstance(scan, str) and not Path(scan).expanduser().exists() and (run / ".hydra" / "hydra.yaml").exists():
+        before = OmegaConf.select(_load(run / ".hydra" / "hydra.yaml"), "hydra.runtime.cwd")
+        if before and (Path(before) / scan).exists():
+            config.scenario.scan = str(Path(before) / scan)
+    settings = check(config)
+    scenario = build(settings.scenario)
+    for name in ("vertices", "faces", "gradient", "weights"):
+        now, then = getattr(scenario, name).numpy(), getattr(record, name)
+        if now.shape != then.shape or not np.allclose(now, then, rtol=0.0, atol=SAME):
+            raise UserError(
+                f"{run}: the scenario has other {name} now than when this run scored its setups "
+                "(has the scan changed?); make a new run"
+            )
+    d = scenario.vertices.shape[1]
+    return Source(scenario, build(settings.kernel, d, scenario.support), settings.manipulation)
+
+
+def _load(path: Path) -> DictConfig:
+    try:
+        config = OmegaConf.load(path)
+    except FileNotFoundError:
+        raise UserError(f"{path} is missing: how this run was made is not known") from None
+    except (OSError, ValueError, YAMLError, OmegaConfBaseException) as error:
+        raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+    if not isinstance(config, DictConfig):
+        raise UserError(f"{path} cannot be read: it holds no configuration")
+    return config

@@ -1,0 +1,6 @@
+"""The paper's figures 1 to 7, drawn from the results in a directory of `scripts/reproduce`; no import of matplotlib."""
+
+from reproduction.figures.processes import draw
+from reproduction.figures.wording import FIGURES, captions
+
+__all__ = ["FIGURES", "captions", "draw"]
