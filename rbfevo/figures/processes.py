@@ -36,10 +36,15 @@ def draw(run: Path) -> list[str]:
 
 def draw_one(run: Path, figure: str) -> Outcome:
     """Draw `figure` in a process of its own, and once more without OpenGL where the first attempt broke down."""
-    code, reason = _attempt(command(run, figure))
+    return draw_apart(figure, command(run, figure), figure in SURFACES)
+
+
+def draw_apart(figure: str, words: list[str], rendered: bool) -> Outcome:
+    """Run the command that draws `figure`; once more with --no-opengl if it is `rendered` and breaks down."""
+    code, reason = _attempt(words)
     if code == 0:
         return Outcome(0, None)
-    if figure in SURFACES and code != USER_ERROR and _attempt(command(run, figure, "--no-opengl"))[0] == 0:
+    if rendered and code != USER_ERROR and _attempt([*words, "--no-opengl"])[0] == 0:
         return Outcome(0, f"{figure}.png was drawn without OpenGL: {reason}")
     return Outcome(USER_ERROR if code == USER_ERROR else 1, f"{figure}.png could not be drawn: {reason}")
 

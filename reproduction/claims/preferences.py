@@ -52,8 +52,8 @@ def uneven(study: Study) -> Iterator[Case]:
         yield Case(panel.name, seed, value, value >= 3)
 
 
-WORST = """the worst of the eleven preferences: f of CMA-ES's setup less the best f on NSGA-II's front, f = preference R +
-    (1 - preference) P"""
+WORST = """the worst of the eleven preferences: f of CMA-ES's setup less the best f on NSGA-II's front, f =
+    preference R + (1 - preference) P"""
 BEYOND = "the share of the eleven preferences with a better f than any setup on NSGA-II's front"
 
 

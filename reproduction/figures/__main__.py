@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rbfevo import storage
 from rbfevo.errors import UserError
+from rbfevo.figures.processes import USER_ERROR
 from reproduction.figures import exhibits, processes
 from reproduction.figures.wording import FIGURES, captions
 from reproduction.study import Study
@@ -54,7 +55,7 @@ def main(arguments: list[str] | None = None) -> int:
             return 0
     except (UserError, OSError) as error:
         print(" ".join(str(error).split()), file=sys.stderr)
-        return processes.USER_ERROR
+        return USER_ERROR
     outcomes = [processes.draw_one(options.out, figure, not options.no_opengl) for figure in FIGURES]
     for outcome in outcomes:
         if outcome.warning:

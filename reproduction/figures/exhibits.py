@@ -10,6 +10,7 @@ import numpy as np
 from benchmarks.panels import Panel
 from rbfevo import storage
 from rbfevo.record import Array, Record
+from reproduction import measures
 from reproduction.study import Setups, Study, panels_of
 
 SEARCHES = ("nsga2", "cmaes", "cmaes-full", "gradient")
@@ -41,6 +42,19 @@ def most_improvable(study: Study, scenario: str, kind: str) -> Exhibit | None:
     return _best(found, "improvement_potential", "regularity")
 
 
+def knee(study: Study, panel: Panel) -> Exhibit | None:
+    """The setup of a front farthest from the chord between its ends, each score scaled to [0, 1]; None without a front.
+
+    The front is the gradient search's, or else NSGA-II's, of the first seed that has one.
+    """
+    for method in ("gradient", "nsga2"):
+        for seed in study.seeds(panel, method):
+            front = study.held(panel, method, seed).front
+            row = int(measures.scaled(front.objectives, front.objectives).sum(axis=1).argmax())
+            return _exhibit(front, row, panel, method, seed, "knee")
+    return None
+
+
 def greedy(study: Study, panel: Panel) -> Exhibit | None:
     """The setup of orthogonal least squares on a panel; None where it is not there."""
     return _best(_found(study, (panel,), ("ols",), "OLS"), "improvement_potential", "regularity")
@@ -60,7 +74,8 @@ def of_figure(study: Study, figure: str) -> list[list[Exhibit | None]]:
     if number == "figure7":
         return [[greedy(study, panels_of(scenario, kind, "indirect")[0]) for kind in KINDS]]
     if number == "figure1":
-        return [[greedy(study, panels_of("face", "wide", "indirect")[0]) or most_improvable(study, "face", "wide")]]
+        (panel,) = panels_of("face", "wide", "direct")
+        return [[knee(study, panel) or greedy(study, panels_of("face", "wide", "indirect")[0])]]
     return []
 
 

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from rbfevo.errors import UserError
-from rbfevo.figures.processes import USER_ERROR, Outcome, _attempt
+from rbfevo.figures.processes import Outcome, draw_apart
 from reproduction.figures.wording import FIGURES
 from reproduction.study import Study
 
@@ -25,14 +25,8 @@ def draw(out: Path) -> list[str]:
 
 def draw_one(out: Path, figure: str, opengl: bool = True) -> Outcome:
     """Draw `figure` in a process of its own, and once more without OpenGL where the first attempt broke down."""
-    plain = ("--no-opengl",)
-    code, reason = _attempt(command(out, figure, *(() if opengl else plain)))
-    if code == 0:
-        return Outcome(0, None)
-    again = opengl and figure in RENDERED and code != USER_ERROR
-    if again and _attempt(command(out, figure, *plain))[0] == 0:
-        return Outcome(0, f"{figure}.png was drawn without OpenGL: {reason}")
-    return Outcome(USER_ERROR if code == USER_ERROR else 1, f"{figure}.png could not be drawn: {reason}")
+    words = command(out, figure, *(() if opengl else ("--no-opengl",)))
+    return draw_apart(figure, words, opengl and figure in RENDERED)
 
 
 def command(out: Path, figure: str, *options: str) -> list[str]:

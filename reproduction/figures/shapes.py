@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from rbfevo.config import build
 from rbfevo.figures import style, surface
-from rbfevo.figures.local_error import reached
+from rbfevo.fit import Objective, deformation
 from rbfevo.record import Array
 from rbfevo.scenarios import placement
 from rbfevo.scenarios.face import average_face
 from reproduction.figures import exhibits, surfaces, wording
+from reproduction.figures.exhibits import Exhibit
 from reproduction.figures.layout import Sheet
 from reproduction.study import Study
 
 SIDE, GAP, TOP = 2.7, 0.5, 0.55  # inches
+TURNS, SMOOTHNESS = 100, 1.0  # of closest points and least squares; weight of the Laplacian's term
 SKIN, STAYS = "#d2a98a", "#d4d2cd"  # of what is to become the face, and of what has no place on it
 
 
@@ -28,8 +32,7 @@ def picture(study: Study, caption: str, opengl: bool = True) -> Figure:
     nothing = np.empty((0, 3))
     centers, deformed, scores = nothing, None, "no setup there"
     if exhibit is not None:
-        record = exhibits.record(study, [exhibit])
-        centers, deformed = exhibit.centers, vertices + scenario.gradient_norm * reached(record, 0)
+        centers, deformed = exhibit.centers, fitted(study, exhibit)
         R, P = wording.number(exhibit.regularity), wording.number(exhibit.improvement_potential)
         scores = f"R = {R}   P = {P}"
     scan, triangles = target()
@@ -58,6 +61,17 @@ def picture(study: Study, caption: str, opengl: bool = True) -> Figure:
         if exhibit is not None:
             _arrow(sheet.axes(0.1 + SIDE + 0.05, TOP + height / 2 - 0.2, GAP - 0.1, 0.4))
     return sheet.figure
+
+
+def fitted(study: Study, exhibit: Exhibit) -> Array:
+    """The sphere [n, 3] as the setup's centers fit it to the scan: closest points and least squares in turn."""
+    scenario = study.scenario("face")
+    kernel = build(exhibit.panel.settings("method=lloyd").kernel, 3, scenario.support)
+    found = deformation(scenario, kernel, torch.from_numpy(exhibit.centers), "orthogonalized")
+    objective = Objective(scenario, [found.U], SMOOTHNESS)
+    (coordinates,) = objective.optimum(limit=TURNS).coordinates
+    parameters = torch.linalg.solve_triangular(objective.T[0], coordinates, upper=True)
+    return (scenario.vertices + found.U @ parameters).numpy()
 
 
 def target() -> tuple[Array, Array]:

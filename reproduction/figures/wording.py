@@ -166,7 +166,8 @@ def _greedy(study: Study, figure: str, scenario: str) -> str:
 
 
 def _marks(scenario: str) -> str:
-    return " Dots are centers in front of the surface, rings those inside or behind it." if scenario == "face" else ""
+    words = " Dots: centers in front of the surface; rings: inside or behind; far ones are smaller."
+    return words if scenario == "face" else ""
 
 
 def _deformation(study: Study) -> str:
@@ -176,8 +177,8 @@ def _deformation(study: Study) -> str:
     if exhibit is None:
         return f"{head}and {end} Not there: any setup to deform the sphere."
     return (
-        f"{head}the shape X' = X + U U⁺g that these centers can give it by least squares, g in its true length, and "
-        f"{end} Grey vertices have no counterpart on the target and are to stay.{_marks('face')} "
-        f"{kernel(exhibit.panel)}; the centers are those of {origin(exhibit)}, for {exhibit.panel.manipulation} "
-        f"manipulation.{'' if exhibit.method == 'ols' else _searches(study, 'face')}"
+        f"{head}the shape X' = X + U P that these centers give it, closest points and least squares in turn, and {end} "
+        f"Grey vertices have no counterpart on the target and are to stay.{_marks('face')} {kernel(exhibit.panel)}; "
+        f"the centers are {'the knee of the front' if exhibit.criterion == 'knee' else 'those'} of {origin(exhibit)}, "
+        f"{exhibit.panel.manipulation} manipulation."
     )
