@@ -19,6 +19,7 @@ from reproduction.study import SCENARIOS, Study
 Array = NDArray[Any]
 RESAMPLES = 2000
 ALL = "all kernels"
+ERRORS = ("error", "optimum")
 
 
 class Fitted(NamedTuple):
@@ -29,7 +30,7 @@ class Fitted(NamedTuple):
         R, P: of the setup under this manipulation, on the fitted mesh.
         generations: to the stopping rule; those that did not get there count the cap.
         reached: the share of seeds that got there.
-        error: final, in units of the start's.
+        error, optimum: the final one and the least there is, in units of the start's.
     """
 
     kind: Array
@@ -39,6 +40,7 @@ class Fitted(NamedTuple):
     generations: Array
     reached: Array
     error: Array
+    optimum: Array
 
     def of(self, kind: str) -> Fitted:
         """Those of one kernel, or all."""
@@ -69,30 +71,49 @@ def fitted(study: Study, scenario: str, manipulation: str, strategy: str) -> Fit
         if any(row["stop"].startswith("not fitted") for row in rows):
             continue
         numbers = {name: np.array([float(row[name]) for row in rows]) for name in fits.COLUMNS[7:10]}
-        relative = np.median([float(row["error"]) / float(row["start_error"]) for row in rows])
+        relative = (np.median([float(row[name]) / float(row["start_error"]) for row in rows]) for name in ERRORS)
         reached = np.mean([row["stop"] == "reached" for row in rows])
         medians = (np.median(numbers[name]) for name in ("regularity", "improvement_potential", "generations"))
-        lines.append((kind, setup, *medians, reached, relative))
-    columns = list(zip(*lines, strict=True)) if lines else [()] * 7
+        lines.append((kind, setup, *medians, reached, *relative))
+    columns = list(zip(*lines, strict=True)) if lines else [()] * 8
     return Fitted(np.array(columns[0], dtype=np.str_), *(np.array(column, dtype=float) for column in columns[1:]))  # pyright: ignore
 
 
-def rank(one: Array, other: Array) -> Rank:
-    """Spearman's correlation of two scores [q]; NaN where one of them does not vary, or of fewer than four."""
-    if len(one) < 4 or np.ptp(one) == 0 or np.ptp(other) == 0:
+def rank(one: Array, other: Array, given: Array | None = None) -> Rank:
+    """Spearman's correlation of two scores [q]; the partial one where a third score is `given`.
+
+    NaN where one of the two does not vary, or of fewer than five.
+    """
+    if len(one) < 5 or still(one) or still(other):
         return Rank(np.nan, np.nan, np.nan, len(one))
+    samples = [one, other] if given is None else [one, other, given]
     interval = bootstrap(
-        (one, other), _spearman, paired=True, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
+        samples, _spearman, paired=True, n_resamples=RESAMPLES, method="percentile", rng=np.random.default_rng(0)
     ).confidence_interval
-    return Rank(float(_spearman(one, other)), float(interval.low), float(interval.high), len(one))
+    value = float(_spearman(one, other, given))
+    return Rank(value, float(interval.low), float(interval.high), len(one))
 
 
-def _spearman(one: Array, other: Array, axis: int = -1) -> Array:
-    """Of many resamples at once, which `measures.spearman` does not do; 0 where one side does not vary."""
+def still(scores: Array) -> bool:
+    """Whether scores [q] differ by no more than rounding, as R does where U is orthogonalized."""
+    return bool(np.ptp(scores) <= 1e-9 * np.abs(scores).max())
+
+
+def _spearman(one: Array, other: Array, given: Array | None = None, axis: int = -1) -> Array:
+    """Of many resamples at once; 0 where one side does not vary."""
     ranks = [rankdata(scores, axis=axis) for scores in (one, other)]
-    a, b = (rank - rank.mean(axis=axis, keepdims=True) for rank in ranks)
+    ranks = [rank - rank.mean(axis=axis, keepdims=True) for rank in ranks]
+    if given is not None:
+        third = rankdata(given, axis=axis)
+        third = third - third.mean(axis=axis, keepdims=True)
+        square = (third**2).sum(axis=axis, keepdims=True)
+        ranks = [
+            rank - third * (rank * third).sum(axis=axis, keepdims=True) / np.where(square > 0, square, 1.0)
+            for rank in ranks
+        ]
+    a, b = ranks
     spread = np.sqrt((a**2).sum(axis=axis) * (b**2).sum(axis=axis))
-    return (a * b).sum(axis=axis) / np.where(spread > 0, spread, 1.0)
+    return (a * b).sum(axis=axis) / np.where(spread > 1e-9, spread, 1.0)
 
 
 def pairs(study: Study, scenario: str, one: str, other: str, strategy: str) -> tuple[Fitted, Fitted]:
@@ -109,8 +130,9 @@ class Correlations(NamedTuple):
 
     Attributes:
         speed: of R with the generations.
+        given: the same for a given least error: who has farther to go takes longer, and R and P are in conflict.
         reach: of P with the final error of those that got there.
-        original: of the setups' R under indirect manipulation with the generations under this one.
+        original: of R under indirect manipulation with the generations under this one, given the least error.
         generations: their median; reached: the share that got there.
     """
 
@@ -119,6 +141,7 @@ class Correlations(NamedTuple):
     strategy: str
     manipulation: str
     speed: Rank
+    given: Rank
     reach: Rank
     original: Rank
     generations: float
@@ -150,10 +173,14 @@ def correlations(study: Study) -> tuple[Correlations, ...]:
             rows, before = found.of(kind), raw.of(kind)
             if len(rows.R) > 0:
                 there = rows.reached == 1
-                ranks = rank(rows.R, rows.generations), rank(rows.P[there], rows.error[there])
+                ranks = (
+                    rank(rows.R, rows.generations),
+                    rank(rows.R, rows.generations, rows.optimum),
+                    rank(rows.P[there], rows.error[there]),
+                    rank(before.R, rows.generations, rows.optimum),
+                )
                 medians = float(np.median(rows.generations)), float(rows.reached.mean())
-                original = rank(before.R, rows.generations)
-                lines.append(Correlations(scenario, kind, strategy, manipulation, *ranks, original, *medians))
+                lines.append(Correlations(scenario, kind, strategy, manipulation, *ranks, *medians))
     return tuple(lines)
 
 

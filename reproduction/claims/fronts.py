@@ -76,6 +76,9 @@ def best(study: Study, score: str, **which: str) -> Iterator[tuple[str, int, flo
     "best R of the front; the gradient search's stands beside NSGA-II's, since it gets farther",
     ">= 0.9",
     ("nsga2", "gradient"),
+    {
+        "holds in part": "NSGA-II stops just short of it on this budget; the gradient search gets to 0.98 and more.",
+    },
 )
 def local_regularity(study: Study) -> Iterator[Case]:
     for where, seed, value in best(study, "regularity", kernel="local"):
@@ -89,6 +92,10 @@ def local_regularity(study: Study) -> Iterator[Case]:
     "best P of the front; the gradient search's stands beside NSGA-II's, since it gets farther",
     ">= 0.9",
     ("nsga2", "gradient"),
+    {
+        "holds in part": """on the sphere 25 supports of radius 0.5 are too few for the face: NSGA-II ends below 0.9,
+        the gradient search just above."""
+    },
 )
 def local_potential(study: Study) -> Iterator[Case]:
     for where, seed, value in best(study, "improvement_potential", kernel="local"):
