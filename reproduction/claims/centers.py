@@ -77,8 +77,8 @@ def regular_indirect(study: Study) -> Iterator[Case]:
     "< 0.8",
     (*SEARCHES, "lloyd"),
     {
-        "holds in part": """supports of local kernels hardly overlap, so that both manipulations are nearly the same, and
-        so are their best centers once the search is good enough to find them."""
+        "holds in part": """supports of local kernels hardly overlap, so that both manipulations are nearly the same,
+        and so are their best centers once the search is good enough to find them."""
     },
 )
 def regular_direct(study: Study) -> Iterator[Case]:

@@ -94,7 +94,8 @@ def potential_manipulation(study: Study) -> Iterator[Case]:
     ("random",),
     {
         "holds in part": """distinct centers suffice where each of them reaches a vertex, as in all initial
-        populations; in the box around the sphere a local kernel's center may reach none, its column is then 0, and the rank falls."""
+        populations; in the box around the sphere a local kernel's center may reach none, its column is then 0, and
+        the rank falls."""
     },
 )
 def rank(study: Study) -> Iterator[Case]:
