@@ -17,7 +17,7 @@ class Budget(NamedTuple):
         evaluations: of NSGA-II for one front.
         computes_fronts: False takes the fronts that `benchmarks/fronts` holds, and none where one is missing.
         generations: of the (25,100)-CMA-ES for each preference.
-        full: panels on which CMA-ES also gets the paper's 1,000 generations, first seed.
+        full: panels on which CMA-ES also gets the paper's 1,000 generations, for three preferences and the first seed.
         random: setups drawn at random for each panel and seed.
         fit_subdivisions: of the sphere that the fits deform.
         fit_generations: after which a fit is given up, on the plane and on the sphere.
@@ -52,7 +52,13 @@ class Budget(NamedTuple):
         return "; ".join([spent, *self.gradient, *self.plane, *self.face])
 
 
-FULL = ("plane-wendland-0.25-indirect", "face-triharmonic-direct")
+FULL = (
+    "face-triharmonic-direct",
+    "plane-wendland-0.25-indirect",
+    "plane-wendland-0.5-direct",
+    "face-wendland-0.5-direct",
+    "face-triharmonic-indirect",
+)
 
 BUDGETS = {
     budget.name: budget

@@ -17,12 +17,14 @@ from reproduction.budgets import Budget
 PREFERENCES = tuple(i / 10 for i in range(11))
 POPULATION = 100
 GENERATIONS = 1_000  # the paper's, of CMA-ES
+FULL_PREFERENCES = (0.0, 0.5, 1.0)  # of the series `cmaes-full`
 
 
 class Task(NamedTuple):
     """One run: a panel, a series and a seed, with the words that its command line has beside them.
 
-    A series is a method, or `cmaes-full`: CMA-ES with the paper's generations, where the budget's are fewer.
+    A series is a method, or `cmaes-full`: CMA-ES with the paper's generations and fewer preferences, where the budget's
+    generations are fewer.
     """
 
     panel: Panel
@@ -80,16 +82,19 @@ def tasks(budget: Budget, panels: tuple[Panel, ...] = PANELS) -> list[Task]:
         planned += [
             Task(panel, "gradient", seed, (*budget.gradient, *budget.words(panel.scenario))) for panel in panels
         ]
-        planned += [preferred(budget, panel, "cmaes", seed, budget.generations) for panel in panels]
-    for panel in panels:
-        if panel.name in budget.full:
-            planned.append(preferred(budget, panel, "cmaes-full", budget.search_seeds[0], GENERATIONS))
+        planned += [preferred(budget, panel, "cmaes", seed, budget.generations, PREFERENCES) for panel in panels]
+    for name in budget.full:
+        chosen = [panel for panel in panels if panel.name == name]
+        seed = budget.search_seeds[0]
+        planned += [preferred(budget, panel, "cmaes-full", seed, GENERATIONS, FULL_PREFERENCES) for panel in chosen]
     return planned
 
 
-def preferred(budget: Budget, panel: Panel, series: str, seed: int, generations: int) -> Task:
-    """CMA-ES for every preference."""
-    listed = ",".join(str(preference) for preference in PREFERENCES)
+def preferred(
+    budget: Budget, panel: Panel, series: str, seed: int, generations: int, preferences: tuple[float, ...]
+) -> Task:
+    """CMA-ES for some preferences."""
+    listed = ",".join(str(preference) for preference in preferences)
     words = (f"method.generations={generations}", f"preference=[{listed}]")
     return Task(panel, series, seed, (*words, *budget.words(panel.scenario)))
 

@@ -16,6 +16,7 @@ from rbfevo.picks import PICKS, pick
 from rbfevo.record import Record, read
 
 LINE_EVERY = 10.0  # seconds between lines of progress
+SMOOTHNESS = 1.0  # where the target has closest points
 
 
 class Parser(argparse.ArgumentParser):
@@ -26,7 +27,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def parser() -> Parser:
-    """The options; their defaults are those of `fits`."""
+    """The options; their defaults are those of `fits`, but for the smoothness."""
     made = Parser(prog="python -m rbfevo.fit", description=__doc__, allow_abbrev=False)
     made.add_argument("run", type=Path, metavar="RUN", help="a run directory")
     made.add_argument("--pick", required=True, help=f"which setup: {', '.join(PICKS)}")
@@ -35,7 +36,7 @@ def parser() -> Parser:
     made.add_argument("--seed", type=int, default=0)
     made.add_argument("--generations", type=int, default=5000, help="at most so many (5000)")
     made.add_argument("--within", type=float, default=0.05, help="of the optimum, where the fit stops (0.05)")
-    made.add_argument("--smoothness", type=float, default=0.0, help="weight of the Laplacian's term, scans only (0)")
+    made.add_argument("--smoothness", type=float, help=f"weight of the Laplacian's term, scans only ({SMOOTHNESS:g})")
     made.add_argument("--parents", type=int, default=25)
     made.add_argument("--population", type=int, default=100)
     made.add_argument("--out", type=Path, help="directory to write; RUN/fit-PICK-MANIPULATION-STRATEGY-seedN")
@@ -76,6 +77,8 @@ def carry_out(options: argparse.Namespace) -> int:
     with Interruption() as interruption, coarse():
         origin = source.rebuild(options.run, record)
         manipulation = options.manipulation or origin.manipulation
+        if options.smoothness is None:
+            options.smoothness = 0.0 if origin.scenario.closest is None else SMOOTHNESS
         out = options.out or options.run / (
             f"fit-{options.pick.strip().replace(':', '-')}-{manipulation}-{options.strategy}-seed{options.seed}"
         )

@@ -11,7 +11,7 @@ from reproduction import measures
 from reproduction.claims.claim import Case, Claim, claim
 from reproduction.study import Array, Setups, Study, panels_of
 
-SEARCHES = ("nsga2", "cmaes", "gradient")
+SEARCHES = ("nsga2", "cmaes", "cmaes-full", "gradient")
 
 
 def best_setup(study: Study, panel: Panel, seed: int, criterion: str) -> tuple[Array, str] | None:
