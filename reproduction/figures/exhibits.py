@@ -74,8 +74,8 @@ def of_figure(study: Study, figure: str) -> list[list[Exhibit | None]]:
     if number == "figure7":
         return [[greedy(study, panels_of(scenario, kind, "indirect")[0]) for kind in KINDS]]
     if number == "figure1":
-        (panel,) = panels_of("face", "wide", "direct")
-        return [[knee(study, panel) or greedy(study, panels_of("face", "wide", "indirect")[0])]]
+        (panel,) = panels_of("face", "local", "direct")
+        return [[knee(study, panel) or greedy(study, panels_of("face", "local", "indirect")[0])]]
     return []
 
 
