@@ -47,6 +47,8 @@ def drawn(panel: Panel, method: str, seed: int, m: int = 5) -> Setups:
     count = {"random": 8, "nsga2": 12, "cmaes": 11, "cmaes-full": 11, "gradient": 12}.get(method, 1)
     d = 2 if panel.scenario == "plane" else 3
     centers = generator.uniform(0, 1, (count, m, d))
+    if d == 3:
+        centers /= np.linalg.norm(centers, axis=-1, keepdims=True)  # on the sphere, where each reaches a vertex
     angle = np.linspace(0.05, 0.45 * np.pi, count)
     R, P = 0.9 * np.sin(angle), 0.95 * np.cos(angle)
     if method == "random":
