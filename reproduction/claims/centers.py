@@ -98,6 +98,14 @@ def percentile(study: Study, panel: Panel, centers: Array, random: Setups) -> fl
     return float(np.mean(adaptation(study, panel, random.centers) < adaptation(study, panel, centers)))
 
 
+def percentiles(study: Study, panels: tuple[Panel, ...]) -> Iterator[tuple[Panel, int, float]]:
+    """Panel, seed, and `percentile` of the setup of best P that any search found."""
+    for panel, seed, centers in best_setups(study, panels, "improvement_potential"):
+        random = study.setups(panel, "random", seed)
+        if random is not None:
+            yield panel, seed, percentile(study, panel, centers, random)
+
+
 ADAPTED = (
     "the share of the panel's random setups that are less adapted to the target, adaptation being the mean "
     "over the centers "
@@ -114,11 +122,8 @@ ADAPTED = (
     (*SEARCHES, "random"),
 )
 def potential_wendland(study: Study) -> Iterator[Case]:
-    for panel, seed, centers in best_setups(study, panels_of("plane", "wendland"), "improvement_potential"):
-        random = study.setups(panel, "random", seed)
-        if random is not None:
-            value = percentile(study, panel, centers, random)
-            yield Case(panel.name, seed, value, value >= 0.95)
+    for panel, seed, value in percentiles(study, panels_of("plane", "wendland")):
+        yield Case(panel.name, seed, value, value >= 0.95)
 
 
 @claim(
@@ -130,11 +135,8 @@ def potential_wendland(study: Study) -> Iterator[Case]:
     (*SEARCHES, "random"),
 )
 def potential_triharmonic(study: Study) -> Iterator[Case]:
-    for panel, seed, centers in best_setups(study, panels_of("plane", "triharmonic"), "improvement_potential"):
-        random = study.setups(panel, "random", seed)
-        if random is not None:
-            value = percentile(study, panel, centers, random)
-            yield Case(panel.name, seed, value, value < 0.95)
+    for panel, seed, value in percentiles(study, panels_of("plane", "triharmonic")):
+        yield Case(panel.name, seed, value, value < 0.95)
 
 
 @claim(
@@ -146,11 +148,8 @@ def potential_triharmonic(study: Study) -> Iterator[Case]:
     (*SEARCHES, "random"),
 )
 def potential_sphere(study: Study) -> Iterator[Case]:
-    for panel, seed, centers in best_setups(study, panels_of("face"), "improvement_potential"):
-        random = study.setups(panel, "random", seed)
-        if random is not None:
-            value = percentile(study, panel, centers, random)
-            yield Case(panel.name, seed, value, (value >= 0.95) == (panel.kernel == "wendland"))
+    for panel, seed, value in percentiles(study, panels_of("face")):
+        yield Case(panel.name, seed, value, (value >= 0.95) == (panel.kernel == "wendland"))
 
 
 CLAIMS: tuple[Claim, ...] = (
