@@ -116,7 +116,7 @@ def lines(study: Study, findings: dict[str, Finding], captions: dict[str, str], 
     yield "## Figures"
     yield ""
     for name, caption in captions.items():
-        if (study.out / name).exists():
+        if name != pays_page.PICTURE and (study.out / name).exists():
             yield f"![{name}]({name})"
             yield ""
             yield f"*{caption}*"

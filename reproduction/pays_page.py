@@ -9,6 +9,7 @@ from reproduction.markdown import prose, table
 from reproduction.pays import ALL, Change, Correlations
 from reproduction.study import SCENARIOS, Study
 
+PICTURE = "fits.png"
 NAMES = {"plane": "the plane", "face": "the sphere"}
 
 
@@ -24,6 +25,9 @@ def section(study: Study) -> Iterable[str]:
     yield from method(study)
     changes = list(pays.changes(study))
     yield from answers(found, changes)
+    if (study.out / PICTURE).exists():
+        yield f"![generations over regularity]({PICTURE})"
+        yield ""
     yield from table(
         (
             *("scenario", "kernel", "strategy", "manipulation", "rank correlation of R with generations"),

@@ -15,6 +15,7 @@ from rbfevo.fit import MANIPULATIONS, STRATEGIES
 from rbfevo.storage import csv_text, write_whole
 from reproduction import fits, measures, pays, pays_page, runs
 from reproduction.claims import CLAIMS
+from reproduction.figures import fitted
 from reproduction.fits import Group
 from reproduction.study import Setups, Study
 
@@ -145,3 +146,18 @@ def test_a_group_without_its_runs_is_left_out(tmp_path: Path, monkeypatch: pytes
         fits.setups(study, Group("plane", "local"))
     assert "no fits" not in "\n".join(pays_page.section(study))
     assert "are not there" in "\n".join(pays_page.section(study))
+
+
+def test_the_picture_shows_every_fit_and_who_was_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    study = full_study(tmp_path, monkeypatch)
+    (study.out / "fits").mkdir()
+    R = np.linspace(0.1, 0.9, 8)
+    for manipulation in MANIPULATIONS:
+        table(study.out, "plane", manipulation, "isotropic", R, 100 / R)
+    path = Group("plane", "wide").path(study.out, "direct", "isotropic")
+    path.write_text(path.read_text().replace("reached", "generations"))
+    picture = fitted.picture(Study(study.out), "caption")
+    marks = [sum(np.shape(part.get_offsets())[0] for part in axes.collections) for axes in picture.axes]
+    assert marks == [24, 24, 24, 0, 0, 0]
+    words = [text.get_text() for axes in picture.axes for text in axes.texts]
+    assert words == ["no fits there"] * 3

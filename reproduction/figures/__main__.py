@@ -1,4 +1,5 @@
-"""`python -m reproduction.figures OUT` draws figure1.png to figure7-face.png from the results in OUT, into OUT."""
+"""`python -m reproduction.figures OUT` draws figure1.png to figure7-face.png and fits.png from the results in OUT,
+into OUT."""
 
 from __future__ import annotations
 
@@ -23,7 +24,7 @@ def draw_here(study: Study, figure: str, opengl: bool) -> None:
         UserError: if a result cannot be read, or a picture or table cannot be written.
     """
     # matplotlib takes a while: only once there is something to draw
-    from reproduction.figures import fronts, functions, layout, setups, shapes
+    from reproduction.figures import fitted, fronts, functions, layout, setups, shapes
 
     caption = captions(study)[f"{figure}.png"]
     if figure == "figure1":
@@ -32,6 +33,8 @@ def draw_here(study: Study, figure: str, opengl: bool) -> None:
         picture = functions.picture(caption)
     elif figure in ("figure3", "figure6"):
         picture = fronts.picture(study, "plane" if figure == "figure3" else "face", caption)
+    elif figure == "fits":
+        picture = fitted.picture(study, caption)
     else:
         picture = setups.picture(study, figure, caption, opengl)
     layout.save(picture, study.out / f"{figure}.png")
