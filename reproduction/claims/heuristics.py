@@ -69,19 +69,19 @@ def lloyd_beats_random(study: Study) -> Iterator[Case]:
     "7",
     "On the sphere, with the triharmonic kernel and direct manipulation, Lloyd's setup is more regular than what both "
     "optimizers find.",
-    "R of Lloyd's setup over the best R of NSGA-II's front and of CMA-ES's setups, however long it ran",
+    "R of Lloyd's setup over the best R of NSGA-II's front and of CMA-ES's setups",
     "> 1",
     ("lloyd", "nsga2", "cmaes", "cmaes-full"),
+    {
+        "holds in part": "it is ahead of both while CMA-ES is short of generations, and no longer when it has the paper's.",
+    },
 )
 def lloyd_beats_optimizers(study: Study) -> Iterator[Case]:
     panels = panels_of("face", "triharmonic", "direct")
-    for panel, seed, (lloyd, front, preferred) in study.each(panels, "lloyd", "nsga2", "cmaes"):
-        rivals = [front.regularity.max(), preferred.regularity.max()]
-        longer = study.setups(panel, "cmaes-full", seed)
-        if longer is not None:
-            rivals.append(longer.regularity.max())
-        value = float(lloyd.regularity[0] / max(rivals))
-        yield Case(panel.name, seed, value, value > 1)
+    for series, words in (("cmaes", ""), ("cmaes-full", ", CMA-ES with 1,000 generations")):
+        for panel, seed, (lloyd, front, preferred) in study.each(panels, "lloyd", "nsga2", series):
+            value = float(lloyd.regularity[0] / max(front.regularity.max(), preferred.regularity.max()))
+            yield Case(f"{panel.name}{words}", seed, value, value > 1)
 
 
 @claim(
