@@ -39,6 +39,9 @@ def started(out: Path, budget: Budget) -> dict[str, object]:
         if held["budget"] != budget.name:
             raise UserError(f"--out {out} holds --budget {held['budget']}: choose another directory for {budget.name}")
     contents: dict[str, object] = {**page.facts(budget.name), "seconds": held.get("seconds", {})}
+    for name in ("hardware", "software"):  # of every machine that had a part in it
+        before = str(held.get(name, contents[name]))
+        contents[name] = before if str(contents[name]) in before else f"{before}; then {contents[name]}"
     page.write_facts(out, contents)
     return contents
 
@@ -60,11 +63,23 @@ def carry_out(part: str, out: Path, budget: Budget, names: list[str]) -> int:
         for warning in figures.draw(out):
             say(f"warning: {warning}")
         return 0
-    study = Study(out)
+    study = whole(out)
     findings = page.write(study, figures.captions(study))
     verdicts = [finding.verdict for finding in findings.values()]
     say(f"{out / 'claims.md'}: " + ", ".join(f"{verdicts.count(name)} {name}" for name in dict.fromkeys(verdicts)))
     return 0
+
+
+def whole(out: Path) -> Study:
+    """The study that lies in a directory.
+
+    Raises:
+        UserError: if it has no runs: the repository has pages, but not the runs that they were made from.
+    """
+    study = Study(out)
+    if not (out / "runs").is_dir():
+        raise UserError(f"--out {out} has no runs to measure claims on: make them with --only runs --only fronts first")
+    return study
 
 
 def show_claim(out: Path, key: str) -> int:
@@ -76,7 +91,7 @@ def show_claim(out: Path, key: str) -> int:
     found = next(((number, claim) for number, claim in enumerate(CLAIMS, 1) if claim.key == key), None)
     if found is None:
         raise UserError(f"--claim {key}: there is no such claim; there are {', '.join(claim.key for claim in CLAIMS)}")
-    study = Study(out)
+    study = whole(out)
     print("\n".join(page.claim_lines(*found, found[1].find(study), study)).strip())
     return 0
 
@@ -93,6 +108,8 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         budget = budget_named(options.budget)
         out = options.out or Path("outputs") / "reproduce" / budget.name
+        if options.claim is not None and options.panels:
+            raise UserError(f"--claim {options.claim} takes all panels; leave out {' '.join(options.panels)}")
         if options.claim is not None:
             return show_claim(out, options.claim)
         chosen(options.panels)

@@ -7,6 +7,7 @@ which is not computed again once it is there. Groups run side by side, one proce
 from __future__ import annotations
 
 import csv
+import hashlib
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -93,6 +94,8 @@ def carry_out_group(out: Path, group: Group) -> str:
     begin = time.perf_counter()
     study = Study(out)
     budget, position = study.budget, SCENARIOS.index(group.scenario)
+    centers, origins = setups(study, group)
+    forget_others(out, group, study, centers)
     missing = [
         (manipulation, strategy)
         for manipulation in MANIPULATIONS
@@ -101,7 +104,6 @@ def carry_out_group(out: Path, group: Group) -> str:
     ]
     if not missing:
         return f"fits of {group.scenario} {group.kind} are there"
-    centers, origins = setups(study, group)
     scenario, seeds = design(study, group.scenario), range(budget.fit_seeds[position])
     (panel,) = panels_of(group.scenario, group.kind, "indirect")
     kernel = build(panel.settings("method=lloyd").kernel, scenario.vertices.shape[1], scenario.support)
@@ -128,6 +130,18 @@ def carry_out_group(out: Path, group: Group) -> str:
         ]
         write_whole(group.path(out, manipulation, strategy), csv_text(COLUMNS, rows))
     return f"fits of {group.scenario} {group.kind}: {len(missing)} tables in {time.perf_counter() - begin:.0f} s"
+
+
+def forget_others(out: Path, group: Group, study: Study, centers: Array) -> None:
+    """Remove tables that were made from other setups or with other settings than now; note what is made now."""
+    budget = study.budget
+    settings = [budget.fit_subdivisions, *budget.fit_generations, *budget.fit_seeds, SMOOTHNESS[group.scenario]]
+    mark = hashlib.sha256(repr(settings).encode() + np.ascontiguousarray(centers).tobytes()).hexdigest()
+    path = out / "fits" / f"{group.scenario}-{group.kind}.sha256"
+    if path.exists() and path.read_text() != mark:
+        for table in path.parent.glob(f"{group.scenario}-{group.kind}-*.csv"):
+            table.unlink()
+    write_whole(path, mark.encode())
 
 
 def columns(fit: Fit) -> tuple[Any, ...]:

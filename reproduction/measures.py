@@ -51,14 +51,18 @@ def steps(front: Array) -> Array:
     return np.linalg.norm(np.diff(scaled(front, front), axis=0), axis=1)
 
 
-def roughness(front: Array, degree: int = 7) -> float:
-    """The rms distance of a front [p, 2] to a polynomial curve over its arc length, in units of its extent."""
+def roughness(front: Array, places: int = 15) -> float:
+    """Degrees by which a front [p, 2], scaled to its extent, turns to and fro along its way.
+
+    All its turns less their sum, over `places` equal stretches of its length: 0 for a front that bends one way only;
+    every dent adds twice what it turns back, and a staircase of k steps about 180 k, as far as the stretches resolve
+    it."""
+    points = scaled(front, front)
     along = np.concatenate([[0.0], np.cumsum(steps(front))])
-    along = 2 * along / along[-1] - 1
-    fitted = np.polynomial.chebyshev.chebfit(along, scaled(front, front), min(degree, len(front) - 1))
-    return float(
-        np.sqrt(((np.polynomial.chebyshev.chebval(along, fitted).T - scaled(front, front)) ** 2).sum(1).mean())
-    )
+    at = np.linspace(0, along[-1], places + 1)
+    way = np.diff(np.stack([np.interp(at, along, column) for column in points.T], axis=1), axis=0)
+    turns = np.degrees(np.angle(np.exp(1j * np.diff(np.arctan2(way[:, 1], way[:, 0])))))
+    return float(np.abs(turns).sum() - abs(turns.sum()))
 
 
 def best_given(front: Array, at_least: Array, gained: int) -> float:

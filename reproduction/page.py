@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from rbfevo.storage import csv_text, write_whole
 from reproduction import pays, pays_page, runs
 from reproduction.claims import CLAIMS, Claim, Finding
 from reproduction.claims.claim import HOLDS, MOST, PLURAL
+from reproduction.claims.times import FRONT
+from reproduction.markdown import prose
 from reproduction.study import METHODS, PANELS, Study
 
 
@@ -42,7 +46,7 @@ def run_table(study: Study) -> Iterable[tuple[str, str, int, int, float, str]]:
     for task in runs.tasks(study.budget):
         summary = study.summary(task.panel, task.series, task.seed)
         if summary is not None and task.done(study.out):
-            command = f"python -m rbfevo {' '.join(task.arguments)}"
+            command = f"python -m rbfevo {shlex.join(task.arguments)}"
             yield task.panel.name, task.series, task.seed, summary["evaluations"], round(summary["seconds"], 2), command
     generations = study.budget.evaluations // runs.POPULATION - 1
     for panel in PANELS:
@@ -78,36 +82,40 @@ def lines(study: Study, findings: dict[str, Finding], captions: dict[str, str], 
     yield ""
     yield f"- Command: `scripts/reproduce --budget {budget.name} --out OUT`, OUT being the directory of this page."
     yield f"- Budget: {budget.in_words}; {budget.random} random setups a panel and seed."
+    if budget.evaluations < FRONT:
+        yield prose(f"""- The paper's fronts have {FRONT:,} evaluations, those here {budget.evaluations:,}. That
+            favours what is compared with them: CMA-ES with the paper's generations (series `cmaes-full`), Lloyd and
+            OLS.""")
     yield f"- Hardware: {facts['hardware']}. Software: {facts['software']}."
-    yield (
-        f"- Seconds: {seconds:,.0f} for the runs in [runs.csv](runs.csv) (NSGA-II's fronts: of processor), each "
-        f"with its "
-        "command; fronts that `benchmarks/fronts` holds are not computed again."
-    )
-    for part, took in facts.get("seconds", {}).items():
-        yield f"- Seconds of the last `scripts/reproduce`, {part}: {took:,.0f}."
+    yield prose(f"""- Seconds: the runs in [runs.csv](runs.csv) searched for {seconds:,.0f} in sum (NSGA-II: seconds
+        of processor), each with its command; fronts that `benchmarks/fronts` holds are not computed again. The parts of
+        `scripts/reproduce`, when they were last called, took {parts(facts)} of wall time.""")
+    yield prose("""- The run directories are not in the repository; `scripts/reproduce --only runs --only fronts`
+        makes them again, and `--claim KEY` then measures one claim again. `setups/` has R and P of all setups,
+        `centers/` the centers that the figures show.""")
+    yield prose("""- Words: *local* and *wide* are Wendland's kernel with the smaller and the larger support radius
+        (0.25 and 0.5 on the plane, 0.5 and 1 on the sphere); `face` is the sphere that is to become a face; a *panel*
+        is one scenario, kernel and manipulation.""")
     yield "- Hypervolumes have the reference point (0, 0): R and P are both maximized."
     yield f"- Seeds that are there: {seeds_in_words(study)}."
     yield ""
     yield "## Verdicts"
     yield ""
-    yield (
-        "Each claim has a measured quantity and a criterion, and is measured on every panel and seed that it "
-        "speaks of. "
-        f"It *holds* if at least {MOST:.0%} of these cases meet the criterion, *does not hold here* if fewer "
-        f"than a third do, "
-        "and *holds in part* in between. The criteria are ours: the paper gives few numbers."
-    )
+    yield prose(f"""Each claim has a measured quantity and a criterion, and is measured in every place that it speaks
+        of: a panel, or what the table of its values names. A place meets the criterion if most of its seeds do. A claim
+        *holds* if at least {MOST:.0%} of its places meet the criterion, *does not hold here* if fewer than a third
+        do, and *holds in part* in between. The criteria are ours: the paper gives few numbers. Two claims, marked so,
+        are ours too.""")
     yield ""
     counts = [finding.verdict for finding in findings.values()]
     yield f"Of {len(counts)} claims " + ", ".join(f"{counts.count(v)} {PLURAL[v]}" for v in PLURAL if v in counts) + "."
     yield ""
-    yield "| | claim | section | verdict | cases | values |"
+    yield "| | claim | section | verdict | met in | values |"
     yield "|---|---|---|---|---|---|"
     for number, claim in enumerate(CLAIMS, 1):
         finding = findings[claim.key]
         verdict = finding.verdict if finding.verdict == HOLDS else f"**{finding.verdict}**"
-        good = f"{sum(case.fulfilled for case in finding.cases)} of {len(finding.cases)}"
+        good = f"{finding.good} of {finding.places}"
         yield (
             f"| [{number}](#{claim.key}) | {claim.statement} | {claim.section} | {verdict} | {good} | {span(finding)} |"
         )
@@ -138,7 +146,7 @@ def claim_lines(number: int, claim: Claim, finding: Finding, study: Study) -> It
     yield ""
     yield (
         f"From the runs of {', '.join(claim.methods)} in [runs.csv](runs.csv); measured again by "
-        f"`python -m reproduction OUT --claim {claim.key}`."
+        f"`scripts/reproduce --out OUT --claim {claim.key}`."
     )
     if finding.cases:
         yield ""
@@ -170,6 +178,12 @@ def span(finding: Finding) -> str:
     values = [case.value for case in finding.cases]
     low, high = min(values), max(values)
     return f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+
+
+def parts(facts: dict[str, Any]) -> str:
+    """Seconds of the parts of the last calls, in words."""
+    taken = facts.get("seconds", {})
+    return ", ".join(f"{seconds:,.0f} s ({part})" for part, seconds in taken.items()) or "an unknown time"
 
 
 def seeds_in_words(study: Study) -> str:

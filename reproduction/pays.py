@@ -131,7 +131,8 @@ class Correlations(NamedTuple):
     Attributes:
         speed: of R with the generations.
         given: the same for a given least error: who has farther to go takes longer, and R and P are in conflict.
-        reach: of P with the final error of those that got there.
+        there: the same over those alone that got there.
+        reach: of P with the final error of those that got there; final: of all.
         original: of R under indirect manipulation with the generations under this one, given the least error.
         generations: their median; reached: the share that got there.
     """
@@ -142,7 +143,9 @@ class Correlations(NamedTuple):
     manipulation: str
     speed: Rank
     given: Rank
+    there: Rank
     reach: Rank
+    final: Rank
     original: Rank
     generations: float
     reached: float
@@ -176,7 +179,9 @@ def correlations(study: Study) -> tuple[Correlations, ...]:
                 ranks = (
                     rank(rows.R, rows.generations),
                     rank(rows.R, rows.generations, rows.optimum),
+                    rank(rows.R[there], rows.generations[there], rows.optimum[there]),
                     rank(rows.P[there], rows.error[there]),
+                    rank(rows.P, rows.error),
                     rank(before.R, rows.generations, rows.optimum),
                 )
                 medians = float(np.median(rows.generations)), float(rows.reached.mean())

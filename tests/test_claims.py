@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -27,8 +28,18 @@ def test_the_verdict_follows_from_the_share_of_cases(good: int, verdict: str) ->
     finding = claim.find(None)  # pyright: ignore[reportArgumentType]
     assert finding.verdict == verdict
     assert f"{good} of 10" in finding.why
+    assert (finding.good, finding.places) == (good, 10)
     assert finding.why.endswith("of a reason.")
     assert "panel 9" in finding.why or good in (0, 10) or good < 4
+
+
+def test_a_place_has_one_vote_and_what_stands_beside_has_none() -> None:
+    cases = [Case("a", seed, 1.0, seed < 2) for seed in range(3)] + [Case("b", 0, 1.0, True)]
+    cases += [Case("beside", 0, 1.0, False, counts=False)]
+    claim = Claim("key", "1", "Is so.", "a number", "> 0", ("random",), lambda _: cases, {})
+    finding = claim.find(None)  # pyright: ignore[reportArgumentType]
+    assert (finding.verdict, finding.good, finding.places) == (HOLDS, 2, 2)
+    assert len(finding.cases) == 5
 
 
 def test_claims_are_complete_and_told_apart() -> None:
@@ -69,7 +80,7 @@ def test_known_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     # the same front for both: CMA-ES's preferred setups cannot be beyond it by more than its own spacing
     reaches = BY_KEY["reaches"].find(study)
-    assert all(case.value <= 0.02 for case in reaches.cases)
+    assert all(case.value <= 0.05 for case in reaches.cases)
     assert BY_KEY["smooth"].find(study).verdict == HOLDS
     assert BY_KEY["sphere-like-plane-shape"].find(study).verdict == HOLDS
     assert BY_KEY["lloyd-robust"].find(study).verdict == HOLDS  # the same R for both seeds
@@ -85,7 +96,7 @@ def test_a_changed_series_changes_the_verdict(tmp_path: Path, monkeypatch: pytes
     assert BY_KEY["lloyd-beats-optimizers"].find(study).verdict == HOLDS
     (panel,) = panels_of("face", "triharmonic", "direct")
     replaced(study, panel, "lloyd", 0, regularity=np.array([0.5]))
-    assert BY_KEY["lloyd-beats-optimizers"].find(Study(study.out)).verdict == IN_PART
+    assert BY_KEY["lloyd-beats-optimizers"].find(Study(study.out)).verdict == FAILS
 
 
 def test_uniform_centers_are_told_from_random_ones(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,7 +134,7 @@ def test_the_page_has_every_claim_and_every_run(tmp_path: Path, monkeypatch: pyt
         table = list(csv.DictReader(file))
     assert len(table) == len(runs.tasks(study.budget)) + len(PANELS) * 2
     commands = {row["command"] for row in table}
-    assert f"python -m rbfevo {' '.join(runs.tasks(study.budget)[0].arguments)}" in commands
+    assert f"python -m rbfevo {shlex.join(runs.tasks(study.budget)[0].arguments)}" in commands
     with (tmp_path / "setups" / f"{PANELS[3].name}.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["method"] == "cmaes" and row["seed"] == "1"]
     np.testing.assert_array_equal([float(row["regularity"]) for row in rows], drawn(PANELS[3], "cmaes", 1).regularity)

@@ -41,15 +41,19 @@ def test_scaled_front_ends_at_the_corners_and_steps_are_in_its_units() -> None:
     np.testing.assert_allclose(measures.steps(front), [np.hypot(0.25, 0.5), np.hypot(0.75, 0.5)])
 
 
-def test_roughness_is_nothing_on_a_smooth_front_and_grows_with_noise() -> None:
+def test_roughness_is_nothing_on_a_smooth_front_and_grows_with_dents_and_steps() -> None:
     x = np.linspace(0, 1, 60)
-    front = np.stack([x, 1 - x], axis=1)
-    assert measures.roughness(front) < 1e-12
+    assert measures.roughness(np.stack([x, 1 - x], axis=1)) < 1e-9
     arc = np.stack([np.sin(np.pi / 2 * x), np.cos(np.pi / 2 * x)], axis=1)
-    assert measures.roughness(arc) < 1e-4
-    dented = front.copy()
-    dented[20:40, 1] -= 0.1
-    assert measures.roughness(dented) > 0.01
+    assert measures.roughness(arc) < 1e-6
+    assert measures.roughness(arc * [3.0, 0.001]) < 1e-6  # whatever the units
+    for count in (3, 6):
+        corners = np.repeat(np.linspace(0, 1, count + 1), 2)
+        stairs = np.stack([corners[1:], 1 - corners[:-1]], axis=1)
+        assert measures.roughness(stairs) > 300
+    dented = arc.copy()
+    dented[20:35, 1] -= 0.15
+    assert measures.roughness(dented) > 150
 
 
 def test_best_given_looks_only_at_rivals_that_are_as_good_otherwise() -> None:

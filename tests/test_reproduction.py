@@ -88,6 +88,9 @@ def test_committed_fronts_are_used_where_they_fit() -> None:
         (["--claim", "nothing", "--out", "OUT"], "there is no such claim; there are"),
         (["--claim", "smooth", "--out", "missing"], "make it with scripts/reproduce"),
         (["--out", "OUT", "--budget", "quick"], "holds --budget tiny"),
+        (["--out", "OUT", "--budget", "tiny", "--only", "claims"], "has no runs to measure claims on"),
+        (["--out", "OUT", "--claim", "smooth"], "has no runs to measure claims on"),
+        (["--out", "OUT", "--claim", "smooth", "plane"], "takes all panels"),
     ],
 )
 def test_mistakes_get_one_line(out: Path, words: list[str], answer: str, capsys, monkeypatch) -> None:

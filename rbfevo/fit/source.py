@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
@@ -41,8 +42,19 @@ def rebuild(run: Path, record: Record) -> Source:
         before = OmegaConf.select(_load(run / ".hydra" / "hydra.yaml"), "hydra.runtime.cwd")
         if before and (Path(before) / scan).exists():
             config.scenario.scan = str(Path(before) / scan)
-    settings = check(config)
-    scenario = build(settings.scenario)
+    try:
+        settings = check(config)
+        scenario = build(settings.scenario)
+        kernel: Kernel = build(settings.kernel, scenario.vertices.shape[1], scenario.support)
+    except (OmegaConfBaseException, HydraException) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(f"{run / '.hydra' / 'config.yaml'} is not the configuration of a run: {reason}") from None
+    said = {name: record.summary.get(name) for name in ("kernel", "support", "manipulation")}
+    found = {"kernel": kernel.name, "support": kernel.support, "manipulation": settings.manipulation}
+    for name, value in found.items():
+        if said[name] != value:
+            raise UserError(f"{run}: {name} is {said[name]} in summary.json and {value} in .hydra/config.yaml; "
+                            "restore the file that was changed")  # fmt: skip
     for name in ("vertices", "faces", "gradient", "weights"):
         now, then = getattr(scenario, name).numpy(), getattr(record, name)
         if now.shape != then.shape or not np.allclose(now, then, rtol=0.0, atol=SAME):
@@ -50,8 +62,7 @@ def rebuild(run: Path, record: Record) -> Source:
                 f"{run}: the scenario has other {name} now than when this run scored its setups "
                 "(has the scan changed?); make a new run"
             )
-    d = scenario.vertices.shape[1]
-    return Source(scenario, build(settings.kernel, d, scenario.support), settings.manipulation)
+    return Source(scenario, kernel, settings.manipulation)
 
 
 def _load(path: Path) -> DictConfig:

@@ -131,25 +131,30 @@ def potential_wendland(study: Study) -> Iterator[Case]:
     "5.1",
     "Centers of best improvement potential are not placed there for the triharmonic kernel.",
     f"{ADAPTED}; setups of best P that any search found, plane",
-    "< 0.95",
+    "<= 0.5, no more than the median random setup",
     (*SEARCHES, "random"),
+    {
+        "does not hold here": """they are far less adapted than those for the Wendland kernels, and many sit where
+        nothing has to move; but most random setups are less adapted still."""
+    },
 )
 def potential_triharmonic(study: Study) -> Iterator[Case]:
     for panel, seed, value in percentiles(study, panels_of("plane", "triharmonic")):
-        yield Case(panel.name, seed, value, value < 0.95)
+        yield Case(panel.name, seed, value, value <= 0.5)
 
 
 @claim(
     "potential-sphere",
     "5.2",
-    "The same on the sphere: adapted to the target for Wendland kernels, not for the triharmonic one.",
+    "On the sphere, too, centers of best improvement potential are adapted to the target for Wendland kernels, and not "
+    "for the triharmonic one.",
     f"{ADAPTED}; setups of best P that any search found, sphere",
-    ">= 0.95 for Wendland, < 0.95 for triharmonic",
+    ">= 0.95 for Wendland, <= 0.5 for triharmonic",
     (*SEARCHES, "random"),
 )
 def potential_sphere(study: Study) -> Iterator[Case]:
     for panel, seed, value in percentiles(study, panels_of("face")):
-        yield Case(panel.name, seed, value, (value >= 0.95) == (panel.kernel == "wendland"))
+        yield Case(panel.name, seed, value, value >= 0.95 if panel.kernel == "wendland" else value <= 0.5)
 
 
 CLAIMS: tuple[Claim, ...] = (

@@ -15,20 +15,26 @@ MOST, FEW = 0.9, 1 / 3  # shares of the cases: from MOST on a claim holds, below
 
 
 class Case(NamedTuple):
-    """One value: where (a panel, or words), with which seed (None for all together), and whether it is as claimed."""
+    """One value: where (a panel, or words), with which seed (None for all together), and whether it is as claimed.
+
+    What only stands beside the claim, to compare with, does not count.
+    """
 
     where: str
     seed: int | None
     value: float
     fulfilled: bool
+    counts: bool = True
 
 
 class Finding(NamedTuple):
-    """What came out for a claim: its cases, the verdict, and why in one sentence."""
+    """What came out for a claim: cases, verdict, why in one sentence, and in how many of how many places it is met."""
 
     cases: tuple[Case, ...]
     verdict: str
     why: str
+    good: int
+    places: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,23 +64,31 @@ class Claim:
     def find(self, study: Study) -> Finding:
         """Measure it."""
         cases = tuple(self.measure(study))
-        if not cases:
-            return Finding((), UNTESTED, f"There are no runs of {', '.join(self.methods)} to measure it on.")
-        good = sum(case.fulfilled for case in cases)
-        share = good / len(cases)
+        places = votes(cases)
+        if not places:
+            return Finding(cases, UNTESTED, f"There are no runs of {', '.join(self.methods)} to measure it on.", 0, 0)
+        good = sum(places.values())
+        share = good / len(places)
         verdict = HOLDS if share >= MOST else IN_PART if share >= FEW else FAILS
-        why = f"Fulfilled in {good} of {len(cases)} cases{missed(cases) if good else ''}"
+        missed = [where for where, fulfilled in places.items() if not fulfilled]
+        but = f" (not {listed(missed)})" if good and missed else ""
+        why = f"Met in {good} of {len(places)} places{but}"
         reason = self.because.get(verdict)
-        return Finding(cases, verdict, f"{why}: {prose(reason)}" if reason else f"{why}.")
+        return Finding(cases, verdict, f"{why}: {prose(reason)}" if reason else f"{why}.", good, len(places))
 
 
-def missed(cases: tuple[Case, ...]) -> str:
-    """Where a claim is not fulfilled, in words; empty if it is everywhere."""
-    places = list(dict.fromkeys(case.where for case in cases if not case.fulfilled))
-    if not places:
-        return ""
-    shown = ", ".join(places[:6]) + (f" and {len(places) - 6} more" if len(places) > 6 else "")
-    return f" (not on {shown})"
+def votes(cases: Iterable[Case]) -> dict[str, bool]:
+    """Whether each place meets the criterion, with most of its seeds: one vote a place, however many seeds it has."""
+    seeds: dict[str, list[bool]] = {}
+    for case in cases:
+        if case.counts:
+            seeds.setdefault(case.where, []).append(case.fulfilled)
+    return {where: sum(met) > len(met) / 2 for where, met in seeds.items()}
+
+
+def listed(places: list[str]) -> str:
+    """Places in words."""
+    return "; ".join(places[:6]) + (f"; and {len(places) - 6} more" if len(places) > 6 else "")
 
 
 def claim(

@@ -40,12 +40,13 @@ def regularity_predicts(study: Study) -> Iterator[Case]:
     "potential-predicts-error",
     "4",
     "Improvement potential characterizes the fitness that a later optimization gets to.",
-    "Spearman's correlation of P with the final error on the sphere, over the setups of all kernels that got there",
+    """Spearman's correlation of P with the final error on the sphere, over all fitted setups, those that were given up
+    included; over those alone that came within 5 % of their least error it stands in the section *Does it pay?*""",
     "<= -0.7",
     METHODS,
 )
 def potential_predicts(study: Study) -> Iterator[Case]:
-    for where, value in ranks(study, "reach", "indirect", "direct", "orthogonalized"):
+    for where, value in ranks(study, "final", "indirect", "direct", "orthogonalized"):
         if where.startswith("face"):
             yield Case(where, None, value, value <= -0.7)
 
@@ -54,7 +55,8 @@ def potential_predicts(study: Study) -> Iterator[Case]:
     "direct-converges-faster",
     "3",
     "Direct manipulation is more efficient in an evolutionary optimization.",
-    "the share of the fitted setups that need fewer generations under direct than under indirect manipulation",
+    """the share of the fitted setups that need fewer generations under direct than under indirect manipulation, ties
+    half""",
     "> 0.5",
     METHODS,
 )
@@ -65,8 +67,27 @@ def direct_faster(study: Study) -> Iterator[Case]:
             for kind in ("local", "wide", "triharmonic"):
                 a, b = direct.of(kind).generations, indirect.of(kind).generations
                 if len(a):
-                    share = float((a < b).mean())
+                    share = float((a < b).mean() + (a == b).mean() / 2)
                     yield Case(f"{scenario} {kind}, {strategy}", None, share, share > 0.5)
 
 
-CLAIMS: tuple[Claim, ...] = (regularity_predicts, potential_predicts, direct_faster)
+@claim(
+    "global-higher-fitness",
+    "4",
+    "Global kernels lead to solutions of higher fitness than local ones.",
+    """the least of two ratios of the median final error, local over wide Wendland and wide over triharmonic, over the
+    fits of all strategies with orthogonalized manipulation, which nearly all come within 5 % of their least error""",
+    "> 1",
+    METHODS,
+)
+def global_fitness(study: Study) -> Iterator[Case]:
+    for scenario in ("plane", "face"):
+        for strategy in STRATEGIES:
+            found = pays.fitted(study, scenario, "orthogonalized", strategy)
+            local, wide, other = (found.of(kind).error for kind in ("local", "wide", "triharmonic"))
+            if len(local) and len(wide) and len(other):
+                ratios = np.median(local) / np.median(wide), np.median(wide) / np.median(other)
+                yield Case(f"{scenario}, {strategy}", None, float(min(ratios)), min(ratios) > 1)
+
+
+CLAIMS: tuple[Claim, ...] = (regularity_predicts, potential_predicts, direct_faster, global_fitness)

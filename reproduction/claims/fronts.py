@@ -18,16 +18,16 @@ from reproduction.study import Study, panels_of
     "smooth",
     "5.1",
     "The fronts are smooth.",
-    "root mean square distance of NSGA-II's front, scaled to [0, 1] in R and in P, to a polynomial curve of "
-    "degree 7 over "
-    "its arc length",
-    "<= 0.02",
+    """degrees by which NSGA-II's front, scaled to [0, 1] in R and in P, turns to and fro along its way: all turns
+    between 15 equal stretches less their sum (0 for a front that bends one way only; 360 for a staircase of three
+    steps; some 500 for a quarter circle with noise of half a percent)""",
+    "<= 180",
     ("nsga2",),
 )
 def smooth(study: Study) -> Iterator[Case]:
     for panel, seed, (setups,) in study.each(panels_of(), "nsga2"):
         value = measures.roughness(setups.front.objectives)
-        yield Case(panel.name, seed, value, value <= 0.02)
+        yield Case(panel.name, seed, value, value <= 180)
 
 
 @claim(
@@ -73,7 +73,7 @@ def best(study: Study, score: str, **which: str) -> Iterator[tuple[str, int, flo
     "local-regularity-near-1",
     "5.1",
     "The front of the local Wendland kernel almost reaches 1 in regularity.",
-    "best R of the front; the gradient search's stands beside NSGA-II's, since it gets farther",
+    "best R of NSGA-II's front; the gradient search's stands beside it and does not count",
     ">= 0.9",
     ("nsga2", "gradient"),
     {
@@ -82,14 +82,14 @@ def best(study: Study, score: str, **which: str) -> Iterator[tuple[str, int, flo
 )
 def local_regularity(study: Study) -> Iterator[Case]:
     for where, seed, value in best(study, "regularity", kernel="local"):
-        yield Case(where, seed, value, value >= 0.9)
+        yield Case(where, seed, value, value >= 0.9, counts=where.endswith("nsga2"))
 
 
 @claim(
     "local-potential-near-1",
     "5.1",
     "The front of the local Wendland kernel almost reaches 1 in improvement potential.",
-    "best P of the front; the gradient search's stands beside NSGA-II's, since it gets farther",
+    "best P of NSGA-II's front; the gradient search's stands beside it and does not count",
     ">= 0.9",
     ("nsga2", "gradient"),
     {
@@ -99,7 +99,7 @@ def local_regularity(study: Study) -> Iterator[Case]:
 )
 def local_potential(study: Study) -> Iterator[Case]:
     for where, seed, value in best(study, "improvement_potential", kernel="local"):
-        yield Case(where, seed, value, value >= 0.9)
+        yield Case(where, seed, value, value >= 0.9, counts=where.endswith("nsga2"))
 
 
 @claim(

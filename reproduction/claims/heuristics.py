@@ -27,13 +27,13 @@ TO_FRONT = "R of Lloyd's setup over the best R on NSGA-II's front among the setu
     "lloyd-near-front",
     "7",
     "Lloyd's setup is close to the front for the local Wendland kernels, indirect manipulation.",
-    TO_FRONT,
+    f"{TO_FRONT}; the other kernels stand beside it and do not count",
     ">= 0.9",
     ("lloyd", "nsga2"),
 )
 def lloyd_near_front(study: Study) -> Iterator[Case]:
-    for panel, seed, value in lloyd_to_front(study, panels_of(kernel="local", manipulation="indirect")):
-        yield Case(panel.name, seed, value, value >= 0.9)
+    for panel, seed, value in lloyd_to_front(study, panels_of(manipulation="indirect")):
+        yield Case(panel.name, seed, value, value >= 0.9, counts=panel in panels_of(kernel="local"))
 
 
 @claim(
@@ -41,13 +41,13 @@ def lloyd_near_front(study: Study) -> Iterator[Case]:
     "7",
     "Lloyd's setup has good regularity for direct manipulation too.",
     "R of Lloyd's setup over the best R of NSGA-II's front",
-    ">= 0.5",
+    ">= 0.8",
     ("lloyd", "nsga2"),
 )
 def lloyd_direct(study: Study) -> Iterator[Case]:
     for panel, seed, (lloyd, front) in study.each(panels_of(manipulation="direct"), "lloyd", "nsga2"):
         value = float(lloyd.regularity[0] / front.regularity.max())
-        yield Case(panel.name, seed, value, value >= 0.5)
+        yield Case(panel.name, seed, value, value >= 0.8)
 
 
 @claim(
@@ -73,7 +73,8 @@ def lloyd_beats_random(study: Study) -> Iterator[Case]:
     "> 1",
     ("lloyd", "nsga2", "cmaes", "cmaes-full"),
     {
-        "holds in part": "it is ahead of both while CMA-ES is short of generations, and no longer when it has the paper's.",
+        "holds in part": """it is ahead of both while CMA-ES is short of generations, and no longer when it has the
+        paper's."""
     },
 )
 def lloyd_beats_optimizers(study: Study) -> Iterator[Case]:
@@ -87,7 +88,7 @@ def lloyd_beats_optimizers(study: Study) -> Iterator[Case]:
 @claim(
     "separation-bound",
     "7",
-    "For indirect manipulation the separation distance bounds regularity.",
+    "For indirect manipulation regularity goes with the separation distance, which bounds the least singular value.",
     "Spearman's correlation of the separation distance and R over the panel's random setups",
     ">= 0.5",
     ("random",),
@@ -220,20 +221,20 @@ def ols_adapted(study: Study) -> Iterator[Case]:
 @claim(
     "ols-unintuitive",
     "7",
-    "For the triharmonic kernel OLS places centers unintuitively.",
+    "For the triharmonic kernel OLS places centers unintuitively: not where the local error is high.",
     f"{ADAPTED}; OLS's setup",
-    "< 0.95",
+    "<= 0.5, no more than the median random setup",
     ("ols", "random"),
     {
-        "does not hold here": """by this measure they are better adapted than nearly all random setups, though less than
-        those for the Wendland kernels: part of them sits beside the bump, where nothing has to move."""
+        "does not hold here": """they are less adapted than those for the Wendland kernels, and part of them sits beside
+        the bump, where nothing has to move; but nearly all random setups are less adapted still."""
     },
 )
 def ols_unintuitive(study: Study) -> Iterator[Case]:
     panels = panels_of(kernel="triharmonic", manipulation="indirect")
     for panel, seed, (ols, random) in study.each(panels, "ols", "random"):
         value = percentile(study, panel, ols.centers[0], random)
-        yield Case(panel.name, seed, value, value < 0.95)
+        yield Case(panel.name, seed, value, value <= 0.5)
 
 
 @claim(

@@ -12,7 +12,7 @@ from reproduction.claims.claim import Case, Claim, claim
 from reproduction.runs import GENERATIONS
 from reproduction.study import Array, Study, panels_of
 
-NEAR = 0.01
+NEAR = 0.05  # of the range of f on the front
 
 
 def is_exception(panel: Panel) -> bool:
@@ -26,11 +26,14 @@ def full(study: Study) -> str:
 
 
 def gains(study: Study, series: str, rival: str = "nsga2") -> Iterator[tuple[Panel, int, Array]]:
-    """What CMA-ES reaches of eq. 9 for each preference, less the best that the rival's front holds for it."""
-    for panel, seed, (preferred, front) in study.each(panels_of(), series, rival):
-        reached = preferred.preference * preferred.regularity
-        reached = reached + (1 - preferred.preference) * preferred.improvement_potential
-        yield panel, seed, reached - measures.preferred(front.objectives, preferred.preference)
+    """What CMA-ES reaches of eq. 9 for each preference, less the best that the rival's front holds for it, over the
+    range of f on that front."""
+    for panel, seed, (found, front) in study.each(panels_of(), series, rival):
+        preference = found.preference
+        reached = preference * found.regularity + (1 - preference) * found.improvement_potential
+        best = measures.preferred(front.front.objectives, preference)
+        worst = -measures.preferred(-front.front.objectives, preference)
+        yield panel, seed, (reached - best) / (best - worst)
 
 
 @claim(
@@ -40,7 +43,7 @@ def gains(study: Study, series: str, rival: str = "nsga2") -> Iterator[tuple[Pan
     "the largest distance between the setups of neighbouring preferences (CMA-ES), over the mean distance, in "
     "units of the "
     "extent of NSGA-II's front in R and in P",
-    ">= 3",
+    ">= 2",
     ("cmaes", "nsga2"),
 )
 def uneven(study: Study) -> Iterator[Case]:
@@ -49,11 +52,11 @@ def uneven(study: Study) -> Iterator[Case]:
         points = measures.scaled(preferred.objectives[order], front.front.objectives)
         steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
         value = float(steps.max() / steps.mean())
-        yield Case(panel.name, seed, value, value >= 3)
+        yield Case(panel.name, seed, value, value >= 2)
 
 
-WORST = """the worst preference: f of CMA-ES's setup less the best f on NSGA-II's front, f =
-    preference R + (1 - preference) P"""
+WORST = """the worst preference: f of CMA-ES's setup less the best f on NSGA-II's front, over the range of f on that
+    front, f = preference R + (1 - preference) P"""
 THREE = ", preferences 0, 0.5 and 1 (all eleven on the budget `paper`)"
 BEYOND = "the share of the preferences with a better f than any setup on NSGA-II's front"
 
@@ -73,11 +76,11 @@ def reaches(study: Study) -> Iterator[Case]:
 @claim(
     "reaches-on-budget",
     "6",
-    "The same with no more generations than this budget has.",
+    "One preference at a time reaches the front with the generations of this budget (ours, not the paper's).",
     WORST,
     f">= -{NEAR}",
     ("cmaes", "nsga2"),
-    {"does not hold here": "so few generations do not suffice; the claim before this one has the paper's."},
+    {"does not hold here": "so few generations do not suffice."},
 )
 def reaches_on_budget(study: Study) -> Iterator[Case]:
     yield from shortfalls(study, "cmaes", exception=False)
@@ -94,7 +97,7 @@ def shortfalls(study: Study, series: str, exception: bool) -> Iterator[Case]:
 @claim(
     "passes",
     "6",
-    "It even gets slightly beyond the front (all panels but triharmonic on the sphere).",
+    "One preference at a time even gets slightly beyond the front (all panels but triharmonic on the sphere).",
     f"{BEYOND}; CMA-ES with the paper's 1,000 generations{THREE}",
     "> 0.5",
     ("cmaes-full", "nsga2"),
@@ -106,11 +109,11 @@ def passes(study: Study) -> Iterator[Case]:
 @claim(
     "passes-on-budget",
     "6",
-    "The same with no more generations than this budget has.",
+    "One preference at a time gets beyond the front with the generations of this budget (ours, not the paper's).",
     BEYOND,
     "> 0.5",
     ("cmaes", "nsga2"),
-    {"does not hold here": "so few generations do not suffice; the claim before this one has the paper's."},
+    {"does not hold here": "so few generations do not suffice."},
 )
 def passes_on_budget(study: Study) -> Iterator[Case]:
     yield from beyond(study, "cmaes")
@@ -127,13 +130,13 @@ def beyond(study: Study, series: str) -> Iterator[Case]:
 @claim(
     "stuck",
     "6",
-    "On the sphere with the triharmonic kernel it does not get there: it is caught in local optima.",
+    "On the sphere with the triharmonic kernel one preference at a time does not reach the front.",
     f"{WORST}; CMA-ES with the paper's 1,000 generations{THREE}",
     f"< -{NEAR}",
     ("cmaes-full", "nsga2"),
     {
-        "does not hold here": """with that many generations it gets beyond NSGA-II's front; with a tenth of them it stays
-        behind, which looks like figure 6 of the paper."""
+        "does not hold here": """with that many generations it gets beyond NSGA-II's front; with a tenth of them it
+        stays behind, which looks like figure 6 of the paper."""
     },
 )
 def stuck(study: Study) -> Iterator[Case]:
@@ -144,8 +147,9 @@ def stuck(study: Study) -> Iterator[Case]:
     "local-optima",
     "6",
     "A search for one preference can be caught in a local optimum.",
-    """the worst preference: f of CMA-ES's setup, with the paper's 1,000 generations, less the best f on
-    the front of the gradient search with the same seed""",
+    """the worst preference: f of CMA-ES's setup, with the paper's 1,000 generations, less the best f on the front of
+    the gradient search with the same seed, over the range of f on that front; whether a local optimum or a want of
+    generations keeps it there is not told apart""",
     f"< -{NEAR}",
     ("cmaes-full", "gradient"),
 )
