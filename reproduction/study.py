@@ -91,7 +91,7 @@ class Study:
         if method == "nsga2":
             return self._front(panel, seed)
         path = self.directory(panel, method, seed) / "setups.npz"
-        if not path.exists() or (path.parent / "words.json").exists() is False:
+        if not all((path.parent / name).exists() for name in (path.name, "words.json", "summary.json")):
             return None
         with np.load(path, allow_pickle=False) as file:
             rows = file["method"] == method.split("-")[0]
