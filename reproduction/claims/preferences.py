@@ -57,7 +57,7 @@ def uneven(study: Study) -> Iterator[Case]:
 
 WORST = """the worst preference: f of CMA-ES's setup less the best f on NSGA-II's front, over the range of f on that
     front, f = preference R + (1 - preference) P"""
-THREE = ", preferences 0, 0.5 and 1 (all eleven on the budget `paper`)"
+THREE = ", preferences 0, 0.5 and 1, five panels (all of both on the budget `paper`)"
 BEYOND = "the share of the preferences with a better f than any setup on NSGA-II's front"
 
 
