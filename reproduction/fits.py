@@ -26,9 +26,8 @@ from rbfevo.methods.stage import random_stream
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.storage import csv_text, write_whole
 from reproduction import measures
-from reproduction.study import SCENARIOS, Array, Setups, Study, panels_of
+from reproduction.study import KINDS, SCENARIOS, Array, Setups, Study, panels_of
 
-KINDS = ("local", "wide", "triharmonic")  # of kernels
 FROM_FRONT, FROM_RANDOM = 5, 6
 SMOOTHNESS = {"plane": 0.0, "face": 1.0}
 COLUMNS = (

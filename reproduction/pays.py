@@ -14,7 +14,7 @@ from scipy.stats import bootstrap, rankdata
 from rbfevo.fit import MANIPULATIONS, STRATEGIES
 from rbfevo.storage import csv_text, write_whole
 from reproduction import fits
-from reproduction.study import SCENARIOS, Study
+from reproduction.study import KINDS, SCENARIOS, Study
 
 Array = NDArray[Any]
 RESAMPLES = 2000
@@ -172,7 +172,7 @@ def correlations(study: Study) -> tuple[Correlations, ...]:
     lines = []
     for scenario, strategy, manipulation in itertools.product(SCENARIOS, STRATEGIES, MANIPULATIONS):
         raw, found = pairs(study, scenario, "indirect", manipulation, strategy)
-        for kind in (*fits.KINDS, ALL):
+        for kind in (*KINDS, ALL):
             rows, before = found.of(kind), raw.of(kind)
             if len(rows.R) > 0:
                 there = rows.reached == 1
@@ -194,7 +194,7 @@ def changes(study: Study) -> Iterator[Change]:
     compared = (("direct", "indirect"), ("orthogonalized", "indirect"), ("orthogonalized", "direct"))
     for scenario, strategy, (one, other) in itertools.product(SCENARIOS, STRATEGIES, compared):
         found = pairs(study, scenario, one, other, strategy)
-        for kind in (*fits.KINDS, ALL):
+        for kind in (*KINDS, ALL):
             a, b = (side.of(kind).generations for side in found)
             if len(a):
                 ratio = float(np.median(a / np.maximum(b, 1)))

@@ -23,7 +23,9 @@ from reproduction.budgets import Budget, budget_named
 
 Array = NDArray[np.float64]
 METHODS = ("random", "nsga2", "cmaes", "cmaes-full", "lloyd", "ols", "gradient")  # series, as in `runs.Task`
+SEARCHES = ("nsga2", "cmaes", "cmaes-full", "gradient")
 SCENARIOS = ("plane", "face")
+KINDS = ("local", "wide", "triharmonic")  # of kernels, in the order of KERNELS
 KERNELS = {
     "plane": ("wendland-0.25", "wendland-0.5", "triharmonic"),
     "face": ("wendland-0.5", "wendland-1", "triharmonic"),

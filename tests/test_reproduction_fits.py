@@ -17,7 +17,7 @@ from reproduction import fits, measures, pays, pays_page, runs
 from reproduction.claims import CLAIMS
 from reproduction.figures import fitted
 from reproduction.fits import Group
-from reproduction.study import Setups, Study
+from reproduction.study import KINDS, Setups, Study
 
 GROUP = Group("plane", "wide")
 
@@ -89,7 +89,7 @@ def test_the_partial_rank_correlation_is_that_of_the_residuals() -> None:
 
 def table(out: Path, scenario: str, manipulation: str, strategy: str, R: np.ndarray, generations: np.ndarray) -> None:
     """Fits of three kernels as a table would hold them; P falls and the error rises with the number of the setup."""
-    for i, kind in enumerate(fits.KINDS):
+    for i, kind in enumerate(KINDS):
         rows = []
         for setup, (r, g) in enumerate(zip(R, generations, strict=True)):
             for seed in (0, 1):

@@ -9,9 +9,7 @@ import numpy as np
 from benchmarks.panels import Panel
 from reproduction import measures
 from reproduction.claims.claim import Case, Claim, claim
-from reproduction.study import Array, Setups, Study, panels_of
-
-SEARCHES = ("nsga2", "cmaes", "cmaes-full", "gradient")
+from reproduction.study import SEARCHES, Array, Setups, Study, panels_of
 
 
 def best_setup(study: Study, panel: Panel, seed: int, criterion: str) -> tuple[Array, str] | None:

@@ -8,9 +8,9 @@ import numpy as np
 
 from benchmarks.panels import Panel
 from reproduction import measures
-from reproduction.claims.centers import ADAPTED, SEARCHES, best_setup, best_setups, percentile
+from reproduction.claims.centers import ADAPTED, best_setup, best_setups, percentile
 from reproduction.claims.claim import Case, Claim, claim
-from reproduction.study import Study, panels_of
+from reproduction.study import SEARCHES, Study, panels_of
 
 
 def lloyd_to_front(study: Study, panels: tuple[Panel, ...]) -> Iterator[tuple[Panel, int, float]]:

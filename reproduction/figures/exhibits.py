@@ -9,13 +9,10 @@ import numpy as np
 
 from benchmarks.panels import Panel
 from rbfevo import storage
+from rbfevo.deformation import MANIPULATIONS
 from rbfevo.record import Array, Record
 from reproduction import measures
-from reproduction.study import Setups, Study, panels_of
-
-SEARCHES = ("nsga2", "cmaes", "cmaes-full", "gradient")
-KINDS = ("local", "wide", "triharmonic")  # of kernels, the columns of every figure
-MANIPULATIONS = ("indirect", "direct")  # the rows
+from reproduction.study import KINDS, SEARCHES, Setups, Study, panels_of
 
 
 class Exhibit(NamedTuple):

@@ -9,9 +9,9 @@ from matplotlib.lines import Line2D
 
 from rbfevo.figures import style
 from rbfevo.fit import MANIPULATIONS, STRATEGIES
-from reproduction import fits, pays
+from reproduction import pays
 from reproduction.figures.layout import Sheet, blank
-from reproduction.study import SCENARIOS, Study
+from reproduction.study import KINDS, SCENARIOS, Study
 
 SIDE, HIGH, GAP, LEFT, TOP, BELOW = 2.55, 1.95, 0.22, 1.05, 0.8, 0.66  # inches
 COLORS = {"local": style.BLUE, "wide": style.ORANGE, "triharmonic": style.MAGENTA}
@@ -55,7 +55,7 @@ def panel(axes: Axes, study: Study, scenario: str, manipulation: str) -> bool:
     shown = False
     for strategy in STRATEGIES:
         raw, found = pays.pairs(study, scenario, "indirect", manipulation, strategy)
-        for kind in fits.KINDS:
+        for kind in KINDS:
             rows = found.of(kind)
             R = raw.of(kind).R if manipulation == "orthogonalized" else rows.R
             for there, marker in ((rows.reached == 1, "o"), (rows.reached < 1, "^")):
@@ -86,7 +86,7 @@ def panel(axes: Axes, study: Study, scenario: str, manipulation: str) -> bool:
 def legend() -> list[Line2D]:
     """The marks of kernels and strategies."""
     blank_line = {"linestyle": "none", "markersize": 6}
-    kernels = [Line2D([], [], marker="o", color=COLORS[kind], label=NAMES[kind], **blank_line) for kind in fits.KINDS]
+    kernels = [Line2D([], [], marker="o", color=COLORS[kind], label=NAMES[kind], **blank_line) for kind in KINDS]
     open_ = Line2D([], [], marker="o", color=style.GREY, markerfacecolor="none", label="open: CMA-ES", **blank_line)
     up = Line2D([], [], marker="^", color=style.GREY, label="given up", **blank_line)
     return [*kernels, open_, up]

@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from benchmarks.panels import Panel
+from rbfevo.deformation import MANIPULATIONS
 from rbfevo.figures import front, style
 from rbfevo.figures.front import Series
 from rbfevo.pareto import hypervolume
 from reproduction.figures import wording
-from reproduction.figures.exhibits import KINDS, MANIPULATIONS
 from reproduction.figures.layout import Sheet, blank
-from reproduction.study import Setups, Study, panels_of
+from reproduction.study import KINDS, Setups, Study, panels_of
 
 # The paper's colours; the gradient search, which it does not have, is dark and small, so that it reads in grey too.
 SERIES = {

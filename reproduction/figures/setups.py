@@ -9,14 +9,15 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
+from rbfevo.deformation import MANIPULATIONS
 from rbfevo.figures import style
 from rbfevo.figures.local_error import local_error, reached
 from rbfevo.figures.panels import Choice, Colors
 from reproduction.figures import exhibits, wording
-from reproduction.figures.exhibits import KINDS, MANIPULATIONS, Exhibit
+from reproduction.figures.exhibits import Exhibit
 from reproduction.figures.layout import Sheet, blank
 from reproduction.figures.painters import Draw, Painter, painter
-from reproduction.study import Study, panels_of
+from reproduction.study import KINDS, Study, panels_of
 
 WIDTH, LEFT, GAP, BAR = 2.5, 0.9, 0.3, 0.95  # inches
 KERNEL, HEAD = 0.28, 0.44  # heights of the kernels' names and of two lines over a panel

@@ -6,10 +6,11 @@ import math
 from collections.abc import Iterable
 
 from benchmarks.panels import PANELS, Panel
+from rbfevo.deformation import MANIPULATIONS
 from reproduction.figures import exhibits
-from reproduction.figures.exhibits import KINDS, MANIPULATIONS, Exhibit
+from reproduction.figures.exhibits import Exhibit
 from reproduction.markdown import prose
-from reproduction.study import Study, panels_of
+from reproduction.study import KINDS, SEARCHES, Study, panels_of
 
 FIGURES = (
     "figure1",
@@ -127,7 +128,7 @@ def _fronts(study: Study, figure: int, scenario: str) -> str:
 def _searches(study: Study, scenario: str) -> str:
     """Which searches on a scenario there are to choose from, with their seeds, which are not there, what they spent."""
     told, lacks = [], []
-    for method in exhibits.SEARCHES:
+    for method in SEARCHES:
         panels = expected(study, scenario, method)
         if not panels:
             continue
