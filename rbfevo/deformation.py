@@ -6,7 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from rbfevo.errors import UserError
-from rbfevo.kernels import Kernel, distances
+from rbfevo.kernels import Kernel
+from rbfevo.mirror import Image, values
 
 MANIPULATIONS = ("indirect", "direct")
 
@@ -21,12 +22,15 @@ class RBFDeformation(nn.Module):
         vertices: [n, d], model units.
         kernel: phi.
         manipulation: `indirect` or `direct`.
+        image: what mirror images of the centers add to the columns, where the design is symmetric.
 
     Raises:
         UserError: if the manipulation is unknown.
     """
 
-    def __init__(self, vertices: Tensor, kernel: Kernel, manipulation: str = "indirect") -> None:
+    def __init__(
+        self, vertices: Tensor, kernel: Kernel, manipulation: str = "indirect", image: Image | None = None
+    ) -> None:
         super().__init__()
         if manipulation not in MANIPULATIONS:
             raise UserError(
@@ -36,14 +40,19 @@ class RBFDeformation(nn.Module):
         self.vertices: Tensor
         self.kernel = kernel
         self.manipulation = manipulation
+        self.image = image
+
+    def columns(self, points: Tensor, centers: Tensor) -> Tensor:
+        """Phi at other points [*pop, q, d] than the vertices, [*pop, q, m]."""
+        return values(self.kernel, centers, points, self.image).mT
 
     def phi(self, centers: Tensor) -> Tensor:
         """Phi_ij = phi(|c_j - x_i|), [*pop, n, m]."""
-        return self.kernel(distances(self.vertices, centers))
+        return self.columns(self.vertices, centers)
 
     def psi(self, centers: Tensor) -> Tensor:
         """Psi_ij = phi(|c_j - c_i|), [*pop, m, m], symmetric."""
-        return self.kernel(distances(centers, centers))
+        return self.columns(centers, centers)
 
     def forward(self, centers: Tensor) -> Tensor:
         """U [*pop, n, m]; direct setups with a singular Psi come out as infinite or NaN instead of raising."""

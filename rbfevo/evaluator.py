@@ -17,7 +17,8 @@ from rbfevo.deformation import RBFDeformation
 from rbfevo.errors import UserError
 from rbfevo.evolvability import EPS, Scores, cutoff, score, singular
 from rbfevo.gram import GramAccumulator
-from rbfevo.kernels import Kernel, distances
+from rbfevo.kernels import Kernel
+from rbfevo.mirror import Image
 from rbfevo.threads import run_in_slices
 
 TRIGGER = 3e-5  # below this R(Phi), G has lost too many digits: eps / TRIGGER^2 is 2e-7
@@ -42,6 +43,22 @@ class Factors(NamedTuple):
     deficient: Tensor
 
 
+class Singular(NamedTuple):
+    """What scores are made of: the extreme singular values of U and P, for setups [p]; means nothing if not `usable`.
+
+    Attributes:
+        largest, smallest: [p] singular values; lost: [p] where R is 0, since the rank is below m or Psi singular.
+        potential: [p] P, maximized; rank: [p]; usable: [p].
+    """
+
+    largest: Tensor
+    smallest: Tensor
+    lost: Tensor
+    potential: Tensor
+    rank: Tensor
+    usable: Tensor
+
+
 class Evaluator:
     """Scores populations of setups of one design.
 
@@ -56,6 +73,7 @@ class Evaluator:
         weights: [n] positive, or None for ones.
         backend: `auto`, `fused` or `eager`, see `GramAccumulator`.
         block: vertices a block, or None.
+        image: what mirror images of the centers add to the columns of U (`rbfevo.mirrored` puts the parts together).
 
     Attributes:
         evaluations: setups scored so far; failed_evaluations: those with non-finite centers or scores.
@@ -72,11 +90,12 @@ class Evaluator:
         weights: Tensor | None = None,
         backend: str = "auto",
         block: int | None = None,
+        image: Image | None = None,
     ) -> None:
-        self.deformation = RBFDeformation(vertices, kernel, manipulation)
+        self.deformation = RBFDeformation(vertices, kernel, manipulation, image)
         self.gradient = gradient
         self.weights = torch.ones_like(vertices[:, 0]) if weights is None else weights
-        self.gram = GramAccumulator(vertices, gradient, self.weights, kernel, backend, block)
+        self.gram = GramAccumulator(vertices, gradient, self.weights, kernel, backend, block, image)
         self.evaluations = self.failed_evaluations = self.gradients = self.further_passes = self.factorizations = 0
 
     @property
@@ -144,14 +163,8 @@ class Evaluator:
 
     def _score(self, setups: Tensor, finite: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """R, P and rank [p] of setups [p, m, d]; NaN where a setup is not usable."""
-        m = setups.shape[1]
-        L, _, potential, rank, usable, _ = self.factors(setups, finite)
-        lost = rank < m
-        if self.deformation.manipulation == "direct":
-            L, _, undetermined = self.direct(setups, L)
-            lost |= undetermined
-        sigma = singular_values(L)
-        regularity = torch.where(lost, 0.0, sigma[:, -1] / sigma[:, 0])
+        largest, smallest, lost, potential, rank, usable = self.singular(setups, finite)
+        regularity = torch.where(lost, 0.0, smallest / largest)
         regularity, potential = (torch.where(usable, c, torch.nan) for c in (regularity, potential))
         index = torch.nonzero(finite & ~usable).flatten()
         if len(index):  # G can overflow where Phi does not
@@ -162,14 +175,23 @@ class Evaluator:
             rank[index] = (exact.variability * self.deformation.vertices.shape[0]).round().to(rank.dtype)
         return regularity, potential, rank
 
+    def singular(self, setups: Tensor, finite: Tensor) -> Singular:
+        """Extreme singular values of U, P and rank of finite setups [p, m, d]."""
+        L, _, potential, rank, usable, _ = self.factors(setups, finite)
+        lost = rank < setups.shape[1]
+        if self.deformation.manipulation == "direct":
+            L, _, undetermined = self.direct(setups, L)
+            lost |= undetermined
+        sigma = singular_values(L)
+        return Singular(sigma[:, 0], sigma[:, -1], lost, potential, rank, usable)
+
     def direct(self, setups: Tensor, L: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Psi^-1 L [p, m, m], whose singular values are those of Phi Psi^-1, Psi^-1, and where Psi is singular [p].
 
         Where it is, both matrices are the identity.
         """
         m = setups.shape[1]
-        kernel = self.deformation.kernel
-        Psi = kernel(distances(setups, setups))
+        Psi = self.deformation.psi(setups)
         identity = torch.eye(m, dtype=Psi.dtype, device=Psi.device)
         LU, pivots, _ = torch.linalg.lu_factor_ex(Psi)
         solution = torch.linalg.lu_solve(LU, pivots, torch.cat((L, identity.expand_as(L)), dim=2))  # Psi = Psi^T
@@ -215,14 +237,14 @@ class Evaluator:
 
     def _factorize(self, setups: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Triangular factor, P and rank by blocked Householder QR of (Phi g), as good as an SVD of Phi."""
-        vertices, kernel = self.deformation.vertices, self.deformation.kernel
+        vertices = self.deformation.vertices
         (n, _), (p, m, _), k = vertices.shape, setups.shape, self.gradient.shape[1]
         roots = self.weights.sqrt()[:, None]
         R = torch.zeros(p, m + k, m + k, dtype=setups.dtype, device=setups.device)
         for e in range(p):  # one at a time: a batch of QR runs no faster and needs p times the memory
             for begin in range(0, n, QR_ROWS):
                 rows = slice(begin, begin + QR_ROWS)
-                Phi = kernel(distances(vertices[rows], setups[e]))
+                Phi = self.deformation.columns(vertices[rows], setups[e])
                 block = roots[rows] * torch.cat((Phi, self.gradient[rows]), dim=1)
                 R[e] = torch.linalg.qr(torch.cat((R[e], block)), mode="r")[1]
         left, sigma, _ = torch.linalg.svd(R[:, :m, :m])

@@ -56,20 +56,25 @@ def evolvability(U: Tensor, gradient: Tensor, weights: Tensor | None = None) -> 
         maximized.
     """
     n, m = U.shape[-2:]
-    if weights is not None:
-        U, gradient = weights.sqrt()[:, None] * U, weights.sqrt()[:, None] * gradient
-    left, sigma, _ = torch.linalg.svd(U, full_matrices=False)
-    kept = sigma > cutoff(n, m) * sigma[..., :1]
+    sigma, kept, rest = projection(U, gradient, weights)
     rank = kept.sum(-1)
     largest = sigma[..., 0]
     regularity = torch.where(
         (rank == m) & (largest > 0), sigma[..., -1] / largest.clamp(min=torch.finfo(U.dtype).tiny), 0.0
     )
+    return regularity, (1.0 - rest).clamp(0.0, 1.0), rank.to(U.dtype) / n
+
+
+def projection(U: Tensor, gradient: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """Singular values [*pop, m] of U [*pop, n, m], which of them count, and |(I - U U^+) g|_F^2 [*pop]."""
+    n, m = U.shape[-2:]
+    if weights is not None:
+        U, gradient = weights.sqrt()[:, None] * U, weights.sqrt()[:, None] * gradient
+    left, sigma, _ = torch.linalg.svd(U, full_matrices=False)
+    kept = sigma > cutoff(n, m) * sigma[..., :1]
     # U U^+ g = left left^T g over the singular values that count; the residual is formed before it is squared.
     coordinates = torch.where(kept[..., None], left.mT @ gradient, 0.0)
-    residual = gradient - left @ coordinates
-    potential = (1.0 - residual.square().sum((-2, -1))).clamp(0.0, 1.0)
-    return regularity, potential, rank.to(U.dtype) / n
+    return sigma, kept, (gradient - left @ coordinates).square().sum((-2, -1))
 
 
 def singular(Psi: Tensor, inverse: Tensor) -> Tensor:

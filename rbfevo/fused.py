@@ -166,18 +166,43 @@ def _reached(c, low, high, block, code, support):
 
 
 @_jit
-def _fill_block(centers, X, begin, end, W, low, high, block, code, support, everyone, A, active):
+def _fill_block(centers, images, sign, X, begin, end, W, low, high, block, code, support, everyone, A, active):
     """Rows phi(r) W of one setup's centers that reach the block, or of `everyone`; returns how many.
 
-    `active` takes the numbers of these centers.
+    `active` takes the numbers of these centers. Rows of the mirror `images` [m, d] are added times `sign`, which is 0
+    where there are none. `A` has one row more than centers, for them.
     """
-    rows = 0
-    for j in range(centers.shape[0]):
-        if everyone or _reached(centers[j], low, high, block, code, support):
-            _fill_row(centers[j], X, begin, end, code, support, W[begin:end], A[rows, : end - begin])
-            active[rows] = j
-            rows += 1
+    rows, size, m = 0, end - begin, centers.shape[0]
+    for j in range(m):
+        near = everyone or _reached(centers[j], low, high, block, code, support)
+        if sign != 0.0:
+            far = everyone or _reached(images[j], low, high, block, code, support)
+            if not (near or far):
+                continue
+            row, other = A[rows, :size], A[m, :size]
+            _fill_row(centers[j], X, begin, end, code, support, W[begin:end], row)
+            if _same(centers[j], images[j]):  # two roundings of one value must not leave a difference
+                for i in range(size):
+                    row[i] += sign * row[i]
+            else:
+                _fill_row(images[j], X, begin, end, code, support, W[begin:end], other)
+                for i in range(size):
+                    row[i] += sign * other[i]
+        elif near:
+            _fill_row(centers[j], X, begin, end, code, support, W[begin:end], A[rows, :size])
+        else:
+            continue
+        active[rows] = j
+        rows += 1
     return rows
+
+
+@_jit
+def _same(a, b):
+    equal = True
+    for axis in range(a.size):
+        equal = equal and a[axis] == b[axis]
+    return equal
 
 
 @_jit_sum
@@ -247,14 +272,16 @@ def _solve_lower(T, rows, size, A):
 
 
 @_jit
-def gram(C, X, W, g, starts, low, high, code, support, T, M):
+def gram(C, images, sign, X, W, g, starts, low, high, code, support, T, M):
     """M = (Q g)^T (Q g) [p, m+k, m+k] with Q = Phi T^-T, or Q = Phi where T has no rows (T [0, m, m]).
+
+    Columns of the mirror `images` [p, m, d] are added times `sign`; where that is 0, `images` are not looked at.
 
     Blocks that no center reaches are skipped: g^T g lacks them.
     """
     p, m = C.shape[0], C.shape[1]
     k = g.shape[0]
-    A = np.empty((m + k, _capacity(starts)))
+    A = np.empty((m + max(k, 1), _capacity(starts)))
     active = np.empty(m + k, np.int64)
     tile = np.empty((4, 4))
     solve = T.shape[0] > 0
@@ -263,7 +290,9 @@ def gram(C, X, W, g, starts, low, high, code, support, T, M):
         for block in range(starts.size - 1):
             begin, end = starts[block], starts[block + 1]
             size = end - begin
-            rows = _fill_block(C[e], X, begin, end, W, low, high, block, code, support, solve, A, active)
+            rows = _fill_block(
+                C[e], images[e], sign, X, begin, end, W, low, high, block, code, support, solve, A, active
+            )
             if rows == 0:
                 continue
             if solve:
@@ -298,24 +327,28 @@ def columns(C, X, code, support, out):
 
 
 @_jit
-def gram_backward(C, X, W, g, starts, low, high, code, support, dG, db, dC):
+def gram_backward(C, images, sign, axis, X, W, g, starts, low, high, code, support, dG, db, dC):
     """dC [p, m, d] from dG [p, m, m] (symmetrized by the caller: dG + dG^T) and db [p, m, k], recomputing the blocks.
 
-    dPhi = Phi (dG + dG^T) + g db^T; dc_j = sum_i dPhi_ij phi'(r_ij)/r_ij (c_j - x_i).
+    dPhi = Phi (dG + dG^T) + g db^T; dc_j = sum_i dPhi_ij phi'(r_ij)/r_ij (c_j - x_i). What reaches c_j through its
+    mirror image is turned over along `axis`.
     """
-    p, m, _ = C.shape
+    p, m, d = C.shape
     k = g.shape[0]
     capacity = _capacity(starts)
-    A = np.empty((m, capacity))
+    A = np.empty((m + 1, capacity))
     S = np.empty((m, capacity))
     H = np.empty((4, capacity))
+    through = np.empty(d)
     active = np.empty(m, np.int64)
     for e in range(p):
         dC[e] = 0.0
         for block in range(starts.size - 1):
             begin, end = starts[block], starts[block + 1]
             size = end - begin
-            rows = _fill_block(C[e], X, begin, end, W, low, high, block, code, support, False, A, active)
+            rows = _fill_block(
+                C[e], images[e], sign, X, begin, end, W, low, high, block, code, support, False, A, active
+            )
             for a in range(rows):
                 _squared_distances(C[e, active[a]], X, begin, end, S[a, :size])
                 _slope_row(code, support, W[begin:end], S[a, :size])
@@ -327,6 +360,14 @@ def gram_backward(C, X, W, g, starts, low, high, code, support, dG, db, dC):
                 for s in range(min(4, rows - a)):
                     j = active[a + s]
                     _pull(H[s, :size], S[a + s, :size], C[e, j], X, begin, dC[e, j])
+                    if sign != 0.0:
+                        _squared_distances(images[e, j], X, begin, end, A[m, :size])
+                        _slope_row(code, support, W[begin:end], A[m, :size])
+                        through[:] = 0.0
+                        _pull(H[s, :size], A[m, :size], images[e, j], X, begin, through)
+                        through[axis] = -through[axis]
+                        for q in range(d):
+                            dC[e, j, q] += sign * through[q]
 
 
 @_jit

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from rbfevo.deformation import RBFDeformation
 from rbfevo.evaluator import Evaluator
 from rbfevo.kernels import distances
 from rbfevo.threads import run_in_slices
@@ -70,9 +71,20 @@ class Spectrum:
         gradient = self.evaluator.gram.backward(self.centers, dM)
         if self._inverse is not None:
             dPsi = -(self._V * dlog_sigma[:, None, :]) @ Z.mT
-            H = (dPsi + dPsi.mT) * self.evaluator.deformation.kernel.slope(distances(self.centers, self.centers))
-            gradient += H.sum(2, keepdim=True) * self.centers - H @ self.centers
+            gradient += _psi_backward(self.evaluator.deformation, self.centers, dPsi + dPsi.mT)
         return torch.where(torch.isfinite(gradient).flatten(1).all(1)[:, None, None], gradient, 0.0)
+
+
+def _psi_backward(deformation: RBFDeformation, C: Tensor, S: Tensor) -> Tensor:
+    """Gradient [p, m, d] in the centers C [p, m, d] of a function of Psi whose gradient, plus its transpose, is S."""
+    H = S * deformation.kernel.slope(distances(C, C))
+    gradient = H.sum(2, keepdim=True) * C - H @ C
+    if deformation.image is not None:  # |c_j' - c_i| = |c_j - c_i'|: both centers of an entry are pulled alike
+        mirror, sign = deformation.image
+        images = mirror.image(C)
+        H = sign * S * deformation.kernel.slope(distances(C, images))
+        gradient += H.sum(2, keepdim=True) * C - H @ images
+    return gradient
 
 
 def _left_singular(A: Tensor) -> tuple[Tensor, Tensor]:

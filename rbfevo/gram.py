@@ -14,6 +14,7 @@ from torch import Tensor
 from rbfevo.blocks import VertexBlocks, vertex_blocks
 from rbfevo.errors import UserError
 from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
+from rbfevo.mirror import Image, values
 from rbfevo.threads import run_in_slices
 
 BACKENDS = ("auto", "fused", "eager")
@@ -43,6 +44,7 @@ class GramAccumulator:
         kernel: phi.
         backend: `fused` (numba, CPU), `eager` (plain torch, any device), or `auto`: fused where it can run.
         block: vertices a block, or None for the backend's own choice.
+        image: what mirror images of the centers add to the columns of Phi, or None.
 
     Raises:
         UserError: for an unknown backend, or where `fused` is asked for and cannot run.
@@ -56,6 +58,7 @@ class GramAccumulator:
         kernel: Kernel,
         backend: str = "auto",
         block: int | None = None,
+        image: Image | None = None,
     ) -> None:
         if backend not in BACKENDS:
             raise UserError(f"evaluator={backend}: there is no such evaluator; choose one of {', '.join(BACKENDS)}")
@@ -65,6 +68,7 @@ class GramAccumulator:
             raise UserError("evaluator=fused needs numba, the CPU and float64; use evaluator=eager")
         self.backend = "fused" if possible and backend != "eager" else "eager"
         self.kernel = kernel
+        self.image = image
         self.code = -1 if code is None else code
         device = vertices.device
         self.size = block or (FUSED_BLOCK if self.backend == "fused" else EAGER_BLOCK.get(device.type, 1024))
@@ -101,11 +105,13 @@ class GramAccumulator:
         out = torch.empty_like(centers)
         b = self.blocks
         fixed = (b.X.numpy(), b.W.numpy(), b.g.numpy(), b.starts.numpy(), b.low.numpy(), b.high.numpy())
-        arrays = [array.detach().numpy() for array in (centers, dG, db, out)]
+        images, sign, axis = self._images(centers)
+        arrays = [array.detach().numpy() for array in (centers, images, dG, db, out)]
 
         def work(begin: int, end: int) -> None:
-            C, left, right, into = (array[begin:end] for array in arrays)
-            fused.gram_backward(C, *fixed, self.code, self.kernel.support or 0.0, left, right, into)
+            C, mirrored, left, right, into = (array[begin:end] for array in arrays)
+            support = self.kernel.support or 0.0
+            fused.gram_backward(C, mirrored, sign, axis, *fixed, self.code, support, left, right, into)
 
         run_in_slices(work, len(centers))
         return out
@@ -121,9 +127,16 @@ class GramAccumulator:
                 for begin, end in itertools.pairwise(starts):
                     X, W = b.X[:, begin:end], b.W[begin:end]
                     r = distances(C, X.T)
-                    H = dG[chunk] @ (self.kernel(r) * W) + db[chunk] @ b.g[:, begin:end]
-                    H = H * self.kernel.slope(r) * W
-                    out[chunk] += H.sum(2, keepdim=True) * C - H @ X.T
+                    rows = self.kernel(r) if self.image is None else values(self.kernel, C, X.T, self.image)
+                    H = dG[chunk] @ (rows * W) + db[chunk] @ b.g[:, begin:end]
+                    pull = H * self.kernel.slope(r) * W
+                    out[chunk] += pull.sum(2, keepdim=True) * C - pull @ X.T
+                    if self.image is not None:
+                        mirrored = self.image.mirror.image(C)
+                        pull = H * self.kernel.slope(distances(mirrored, X.T)) * W
+                        through = self.image.sign * (pull.sum(2, keepdim=True) * mirrored - pull @ X.T)
+                        through[..., self.image.mirror.axis].neg_()
+                        out[chunk] += through
 
         self._in_slices(work, len(centers), centers)
         return out
@@ -135,7 +148,8 @@ class GramAccumulator:
         p, m, _ = centers.shape
         k = self.blocks.g.shape[0]
         M = torch.empty(p, m + k, m + k, dtype=centers.dtype)
-        C, out = centers.detach().numpy(), M.numpy()
+        images, sign, _ = self._images(centers)
+        C, mirrored, out = centers.detach().numpy(), images.detach().numpy(), M.numpy()
         T = torch.empty(0, m, m, dtype=centers.dtype).numpy() if factor is None else factor.contiguous().numpy()
         b = self.blocks
         fixed = (b.X.numpy(), b.W.numpy(), b.g.numpy(), b.starts.numpy(), b.low.numpy(), b.high.numpy())
@@ -143,7 +157,7 @@ class GramAccumulator:
 
         def work(begin: int, end: int) -> None:
             part = T if factor is None else T[begin:end]
-            fused.gram(C[begin:end], *fixed, self.code, support, part, out[begin:end])
+            fused.gram(C[begin:end], mirrored[begin:end], sign, *fixed, self.code, support, part, out[begin:end])
 
         run_in_slices(work, p)
         M[:, m:, m:] = b.g @ b.g.T  # the kernel skips blocks that no center reaches
@@ -159,7 +173,7 @@ class GramAccumulator:
         def work(first: int, last: int) -> None:
             for chunk in self._chunks(centers, first, last):
                 for begin, end in itertools.pairwise(starts):
-                    rows = self.kernel(distances(centers[chunk], b.X[:, begin:end].T)) * b.W[begin:end]
+                    rows = values(self.kernel, centers[chunk], b.X[:, begin:end].T, self.image) * b.W[begin:end]
                     if factor is not None:
                         rows = torch.linalg.solve_triangular(factor[chunk], rows, upper=False)
                     rows = torch.cat((rows, b.g[:, begin:end].expand(len(rows), -1, -1)), dim=1)
@@ -171,6 +185,12 @@ class GramAccumulator:
 
         self._in_slices(work, p, centers)
         return M
+
+    def _images(self, centers: Tensor) -> tuple[Tensor, float, int]:
+        """Mirror images of the centers, their sign, and the axis; the centers themselves and 0 where there are none."""
+        if self.image is None:
+            return centers, 0.0, 0
+        return self.image.mirror.image(centers), self.image.sign, self.image.mirror.axis
 
     def _chunks(self, centers: Tensor, first: int, last: int) -> list[slice]:
         """Slices of the population from first to last whose rows over one block fit an eager step's memory."""

@@ -82,18 +82,46 @@ class Cubic(Kernel):
         return 3.0 * r
 
 
-def wendland(dimension: int, default_support: float, support: float | None = None) -> Kernel:
+def wendland(
+    dimension: int, default_support: float, diagonal: float | None = None, support: float | str | None = None
+) -> Kernel:
     """Wendland's C2 function with `support`, or where that is None with the scenario's `default_support`.
+
+    Args:
+        dimension: d.
+        default_support: model units.
+        diagonal: of the scenario's box, model units, of which `support` may be a percentage.
+        support: a number in model units, or a word such as "30%".
 
     Raises:
         UserError: unless the dimension is 1, 2 or 3 (beyond that it is not positive definite) and the radius positive.
     """
     if dimension not in (1, 2, 3):
         raise UserError(f"Wendland's C2 function is positive definite for up to 3 dimensions, not for {dimension}")
-    return Wendland(default_support if support is None else support)
+    return Wendland(default_support if support is None else length("kernel.support", support, diagonal))
 
 
-def triharmonic(dimension: int, default_support: float | None = None) -> Kernel:
+def length(key: str, value: float | str, diagonal: float | None) -> float:
+    """A length in model units: a positive number, or a percentage of the box's diagonal, such as "30%".
+
+    Raises:
+        UserError: naming `key`, for anything else.
+    """
+    text = str(value).strip()
+    number, percent = (text[:-1], True) if text.endswith("%") else (text, False)
+    try:
+        found = float(number)
+    except ValueError:
+        found = math.nan
+    if not (math.isfinite(found) and found > 0) or isinstance(value, bool) or (percent and diagonal is None):
+        raise UserError(
+            f"{key}={value}: it must be a positive number, in model units, or a percentage of the box's diagonal, "
+            "such as 30%"
+        )
+    return found / 100.0 * diagonal if percent and diagonal is not None else found
+
+
+def triharmonic(dimension: int, default_support: float | None = None, diagonal: float | None = None) -> Kernel:
     """The paper's triharmonic kernel: r^2 log r for d = 2, r^3 for d = 3; it has no use for a support radius.
 
     Raises:

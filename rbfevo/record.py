@@ -66,8 +66,11 @@ class Record:
 
     @property
     def gradient_norm(self) -> float | None:
-        """The norm that the gradient had before it was scaled to 1, in model units; None if the run did not say."""
-        norm = self.summary.get("gradient_norm")
+        """The norm that the gradient had before it was scaled to 1, in model units.
+
+        None if the run did not say, or knows no more than a direction (a sensitivity).
+        """
+        norm = None if self.summary.get("gradient_is") == "direction" else self.summary.get("gradient_norm")
         return float(norm) if isinstance(norm, int | float) and np.isfinite(norm) and norm > 0 else None
 
     @property
@@ -77,7 +80,7 @@ class Record:
         name = str(say("kernel", "unknown"))
         kernel = f"{'Wendland' if name == 'wendland' else name} kernel"
         if say("support") is not None:
-            kernel += f", support radius {say('support'):g}"
+            kernel += f", support radius {say('support'):.4g}"
         return f"{say('scenario', 'unknown')} · {kernel} · {say('manipulation', 'unknown')} manipulation"
 
 

@@ -6,25 +6,29 @@ import importlib.metadata
 import platform
 import signal
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import torch
 
-from rbfevo import figures, storage
+from rbfevo import figures, reach, storage
 from rbfevo.config import Settings, build
 from rbfevo.errors import UserError
 from rbfevo.evaluator import Evaluator
-from rbfevo.gradients import Spectrum
+from rbfevo.evolvability import Scores
 from rbfevo.kernels import Kernel
 from rbfevo.methods.stage import Method, Problem, Record, Rows, no_preference, random_stream
+from rbfevo.mirrored import evaluator_of, spectrum_of
 from rbfevo.pareto import hypervolume
 from rbfevo.progress import Reporter
 from rbfevo.scenarios.coarse import coarsened, matched
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.threads import coarse
 
+# Up to this many numbers in U the rows of a result are scored by the definition, above by the blocked evaluator.
+DEFINED_UP_TO = 4_000_000
 # Below this many evaluations times vertices, plain torch is done before numba has compiled for the first time (8 s).
 COMPILE_FROM = 10_000_000
 
@@ -71,39 +75,35 @@ class Run:
             raise UserError(
                 f"centers={settings.centers}: scenario {self.scenario.name} has only {n} vertices; use fewer"
             )
-        self.kernel: Kernel = build(settings.kernel, d, self.scenario.support)
+        self.kernel: Kernel = build(settings.kernel, d, self.scenario.support, self.scenario.diagonal)
         method = build(settings.method)
         self.name: str = method.name
         self.stages: list[Method] = getattr(method, "stages", [method])
         self.planned = sum(stage.planned_evaluations(settings.preferences) for stage in self.stages)
         backend = settings.evaluator
-        if backend == "auto" and self.planned * n < COMPILE_FROM:
+        self.searched = self.scenario
+        if backend == "auto" and self.planned * min(n, self.scenario.search_vertices or n) < COMPILE_FROM:
             backend = "eager"
         self._backend = backend
-        self.evaluator = self._evaluator(self.scenario)
+        self.full_evaluator = self.evaluator = self._evaluator(self.scenario)
         self.coarse_evaluators: list[Evaluator] = []
         self.rows: list[Rows] = []
+        self._drawn = 0  # of the rows: the initial population, scored on all vertices
         self.history: list[Record] = []
-        self.warnings: list[str] = []
+        self.warnings: list[str] = [*self.scenario.warnings, *reach.too_short(self.scenario, self.kernel)]
+        self.differences: dict[str, float] | None = None
         self.seconds = 0.0
         self.stop_reason = "budget"
         self.threads = torch.get_num_threads()
 
     def _evaluator(self, scenario: Scenario) -> Evaluator:
         """Of this run's kernel and manipulation, on a scenario's vertices; all that a GPU does, it does in there."""
-        scenario = scenario.to(self.device)
-        return Evaluator(
-            scenario.vertices,
-            scenario.gradient,
-            self.kernel,
-            self.settings.manipulation,
-            scenario.weights,
-            self._backend,
-        )
+        return evaluator_of(scenario.to(self.device), self.kernel, self.settings.manipulation, self._backend)
 
     def total(self, counter: str) -> int:
         """One of the evaluator's counters, coarse designs included."""
-        return sum(getattr(evaluator, counter) for evaluator in (self.evaluator, *self.coarse_evaluators))
+        evaluators = {id(e): e for e in (self.full_evaluator, self.evaluator, *self.coarse_evaluators)}
+        return sum(getattr(evaluator, counter) for evaluator in evaluators.values())
 
     def search(self, reporter: Reporter, interruption: Interruption) -> None:
         """Run the methods one after the other, until they are done or interrupted; what they find is kept."""
@@ -143,18 +143,25 @@ class Run:
 
     def _initial(self) -> Rows:
         m, count = self.settings.centers, max(stage.initial for stage in self.stages)
-        centers = self.scenario.sample(count, m, self._stream("initial"))
-        rows = no_preference("random", centers, self.evaluator(centers))
+        centers = self.scenario.parameterization(self.scenario.sample(count, m, self._stream("initial")))
+        rows = no_preference("random", centers, self.full_evaluator(centers))
         if count:
             self.rows.append(rows)
+            self._drawn = 1
         return rows
 
     def _stream(self, name: str) -> torch.Generator:
         return random_stream(self.settings.seed, name)
 
     def problem(self) -> Problem:
-        """What the methods are given; draws and scores the initial population."""
-        return self._problem(self.scenario, self.evaluator, self._initial())
+        """What the methods are given; draws and scores the initial population, on all vertices."""
+        initial = self._initial()
+        problem = self._problem(self.scenario, self.full_evaluator, initial)
+        if self.scenario.search_vertices is not None and self.scenario.search_vertices < len(self.scenario.vertices):
+            problem = problem.coarsened(self.scenario.search_vertices)
+            self.evaluator = self.coarse_evaluators.pop()
+            self.searched = problem.scenario
+        return problem
 
     def _problem(self, scenario: Scenario, evaluator: Evaluator, initial: Rows) -> Problem:
         def fewer_vertices(count: int) -> Problem:
@@ -172,16 +179,17 @@ class Run:
 
         problem = Problem(
             evaluate=evaluator,
-            lower=scenario.lower,
-            upper=scenario.upper,
+            lower=scenario.search_box[0],
+            upper=scenario.search_box[1],
             centers=self.settings.centers,
             stream=self._stream,
             preferences=self.settings.preferences,
             initial=initial,
             scenario=scenario,
             kernel=self.kernel,
-            spectrum=lambda centers: Spectrum(evaluator, centers),
+            spectrum=lambda centers: spectrum_of(evaluator, centers),
             coarsened=fewer_vertices,
+            parameterization=scenario.parameterization,
         )
         return problem
 
@@ -211,16 +219,35 @@ class Run:
             "evaluator": self.evaluator.backend,
             "threads": self.threads,
             "gradient_norm": self.scenario.gradient_norm,
+            "gradient_is": "direction" if self.scenario.direction_only else "displacement",
+            "symmetry": self._symmetry(),
+            "up": self.scenario.up,
+            "vertices": len(self.scenario.vertices),
+            "search_vertices": len(self.searched.vertices),
+            "search_differences": self.differences,
             "notes": self.scenario.notes,
             "warnings": self.warnings,
         }
+
+    def _symmetry(self) -> dict[str, Any] | None:
+        mirror = self.scenario.mirror
+        return None if mirror is None else {"axis": "xyz"[mirror.axis], "at": mirror.at}
+
+    def _final(self, centers: torch.Tensor) -> Scores:
+        """Scores on all vertices, by the definition where U is not too large for that."""
+        if len(self.scenario.vertices) * self.settings.centers <= DEFINED_UP_TO:
+            return self.full_evaluator.definition(centers)
+        return self.full_evaluator(centers)
 
     def save(self, directory: Path, reporter: Reporter) -> None:
         """Score the rows by definition, write the run directory and draw its figures."""
         if not self.rows:
             reporter.line("stopped before anything was found; nothing was written")
             return
-        rescored = [rows._replace(scores=self.evaluator.definition(rows.centers)) for rows in self.rows]
+        rescored = [rows._replace(scores=self._final(rows.centers)) for rows in self.rows]
+        if self.searched is not self.scenario:
+            self.differences = differences(self.rows[self._drawn :], rescored[self._drawn :])
+        self.warnings += reach.out_of_reach(self.scenario, self.kernel, torch.cat([row.centers for row in self.rows]))
         table = storage.setup_table(rescored)
         objectives = torch.cat([rows.scores.objectives for rows in rescored])
         storage.write_scenario(directory, self.scenario)
@@ -256,6 +283,24 @@ def carry_out(settings: Settings, directory: Path) -> int:
             reporter.close()
         run.save(directory, reporter)
     return 0 if interruption.signal is None else 128 + interruption.signal
+
+
+def differences(searched: Sequence[Rows], final: Sequence[Rows]) -> dict[str, float] | None:
+    """How far scores on a search's vertices were from those on all: medians and maxima of |dR|/R and |dP|.
+
+    None where there are no rows.
+    """
+    if not searched:
+        return None
+    before, after = (torch.cat([row.scores.objectives for row in rows]) for rows in (searched, final))
+    relative = (before[:, 0] - after[:, 0]).abs() / after[:, 0].clamp_min(1e-300)
+    absolute = (before[:, 1] - after[:, 1]).abs()
+    return {
+        "regularity_median": float(relative.median()),
+        "regularity_largest": float(relative.max()),
+        "improvement_potential_median": float(absolute.median()),
+        "improvement_potential_largest": float(absolute.max()),
+    }
 
 
 def chosen_device(name: str) -> torch.device:

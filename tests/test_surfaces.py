@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rbfevo.errors import UserError
 from rbfevo.scenarios import placement
-from rbfevo.scenarios.surfaces import ENDINGS, read_surface
+from rbfevo.scenarios.surfaces import ENDINGS, meshio_endings, read_surface
 
 BALL = trimesh.creation.icosphere(subdivisions=1, radius=3.0)
 SQUARE = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]])
@@ -26,6 +26,12 @@ VTP = (
     '<Polys><DataArray type="Int64" Name="connectivity" format="ascii">0 1 2 3</DataArray>'
     '<DataArray type="Int64" Name="offsets" format="ascii">4</DataArray></Polys></Piece></PolyData></VTKFile>'
 )
+VTU = (
+    VTP.replace("PolyData", "UnstructuredGrid")
+    .replace("NumberOfPolys", "NumberOfCells")
+    .replace("Polys", "Cells")
+    .replace("</Cells>", '<DataArray type="UInt8" Name="types" format="ascii">9</DataArray></Cells>')
+)
 SQUARES = {
     "ply": PLY_HEADER.format(n=4)
     + "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n2 0 0\n2 2 0\n0 2 0\n4 0 1 2 3\n",
@@ -35,6 +41,10 @@ SQUARES = {
     "strip.vtk": POLYGONS + "TRIANGLE_STRIPS 1 5\n4 0 1 3 2\n",
     "grid.vtk": LEGACY.format(kind="UNSTRUCTURED_GRID") + "CELLS 2 8\n2 0 1\n4 0 1 2 3\nCELL_TYPES 2\n3\n9\n",
     "vtp": VTP,
+    "vtu": VTU,
+    "inp": "*NODE\n5, 0, 0, 0\n6, 2, 0, 0\n7, 2, 2, 0\n9, 0, 2, 0\n*ELEMENT, TYPE=S4R\n1, 5, 6, 7, 9\n",
+    "msh": "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n4\n1 0 0 0\n2 2 0 0\n3 2 2 0\n4 0 2 0\n$EndNodes\n"
+    "$Elements\n1\n1 3 0 1 2 3 4\n$EndElements\n",
 }
 
 
@@ -131,6 +141,7 @@ CLOUD = np.array([[0.0, 1.5, 2], [3, -4, 5.25], [6, 7, 8e-3]])
         ("spaces.csv", "0 1.5 2\n3 -4 5.25\n6 7 8e-3\n"),
         ("mark.csv", "\ufeffx, y, z\n0, 1.5, 2\n3, -4, 5.25\n6, 7, 8e-3\n"),
         ("c.ply", PLY_HEADER.format(n=3) + "end_header\n0 1.5 2\n3 -4 5.25\n6 7 8e-3\n"),
+        ("c.inp", "*NODE\n1, 0, 1.5, 2\n2, 3, -4, 5.25\n3, 6, 7, 8e-3\n"),
         (
             "c.vtk",
             "# vtk DataFile Version 3.0\nc\nASCII\nDATASET POLYDATA\nPOINTS 3 double\n0 1.5 2 3 -4 5.25 6 7 8e-3\n",
@@ -158,7 +169,7 @@ def test_directory(tmp_path):
 
 def test_unknown_ending_lists_what_there_is(tmp_path):
     text = message(write(tmp_path, "face.fbx", "x"))
-    assert all(ending[1:].upper() in text for ending in ENDINGS)
+    assert all(ending[1:].upper() in text for ending in (*ENDINGS, *meshio_endings()))
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root reads everything")
@@ -173,7 +184,7 @@ def test_empty_file(tmp_path, ending):
     assert "the file is empty" in message(write(tmp_path, f"a{ending}", b" \n"))
 
 
-@pytest.mark.parametrize("ending", ENDINGS)
+@pytest.mark.parametrize("ending", [*ENDINGS, ".msh", ".inp", ".vol.gz"])
 def test_garbage_is_refused_in_silence(tmp_path, capfd, ending):
     draw = np.random.default_rng(3)
     message(write(tmp_path, f"a{ending}", b"this is not a surface"))
@@ -219,7 +230,7 @@ def test_empty_surface(tmp_path, name, content):
         (
             "solid.vtk",
             LEGACY.format(kind="UNSTRUCTURED_GRID") + "CELLS 1 5\n4 0 1 2 3\nCELL_TYPES 1\n10\n",
-            "save its surface as PolyData",
+            "holds a volume mesh (1 tetrahedra); a surface is wanted: extract its surface first",
         ),
     ],
 )

@@ -28,5 +28,5 @@ def picture(record: Record, *, opengl: bool = True) -> Figure:
     with style.typography():
         if record.vertices.shape[1] == 2:
             return panels.compose(record, choices, plane.rows(record, choices), *plane.size(record), note)
-        rows = space.rows(record, choices, opengl)
-        return panels.compose(record, choices, rows, space.SIDE, space.SIDE, note)
+        rows, height = space.rows(record, choices, opengl)
+        return panels.compose(record, choices, rows, space.SIDE, height, note)

@@ -9,10 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize, to_rgb
 
+from rbfevo.columns import setup
+from rbfevo.errors import UserError
 from rbfevo.figures import style, surface
 from rbfevo.figures.local_error import local_error
 from rbfevo.figures.panels import Choice, Colors, Row
-from rbfevo.figures.view import View, view_of
+from rbfevo.figures.view import View, standpoint, view_of
 from rbfevo.record import Array, Record
 
 CLAY = "#cfc3b4"
@@ -20,10 +22,11 @@ SIDE = 2.7  # inches
 EXAGGERATED = (
     0.15  # of the mesh's diagonal: the largest displacement where the true one is unknown or out of proportion
 )
+ONE_STEP = 0.05  # the same for a sensitivity
 
 
-def rows(record: Record, choices: list[Choice], opengl: bool) -> list[Row]:
-    """Return the rows of panels for `choices`, by OpenGL or by matplotlib alone."""
+def rows(record: Record, choices: list[Choice], opengl: bool) -> tuple[list[Row], float]:
+    """Return the rows of panels for `choices`, by OpenGL or by matplotlib alone, and their height in inches."""
     unit = "local error [model units]" if record.gradient_norm else "local error (unit norm)"
     scale = record.gradient_norm or 1.0
     errors = local_error(record.gradient)
@@ -35,10 +38,10 @@ def rows(record: Record, choices: list[Choice], opengl: bool) -> list[Row]:
     shapes = {}
     if known and record.gradient.shape[1] == 3:
         shapes = {choice.index: record.vertices + stretch * np.asarray(choice.reached) for choice in choices}
-    centers = [record.centers[choice.index] for choice in choices]
+    centers = [_with_images(record, choice.index) for choice in choices]
     diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
     radius = 0.0125 * diagonal * min(1.0, np.sqrt(25 / record.centers.shape[1]))
-    view = view_of(np.concatenate([record.vertices, *centers, *shapes.values()]), margin=2 * radius)
+    view = view_of(np.concatenate([record.vertices, *centers, *shapes.values()]), 2 * radius, *standpoint(record))
     panel = functools.partial(_panel, record, view, radius, surface.render if opengl else surface.project)
 
     colors = Colors(Normalize(0.0, scale * float(errors.max())), style.ERROR)
@@ -52,7 +55,15 @@ def rows(record: Record, choices: list[Choice], opengl: bool) -> list[Row]:
     if shapes:
         clay = np.tile(to_rgb(CLAY), (len(record.vertices), 1))
         made.append(Row(f"shape within reach{remark}", panel(lambda _: clay, shapes)))
-    return made
+    return made, SIDE * view.tall / view.half
+
+
+def _with_images(record: Record, index: int) -> Array:
+    """All centers of a setup: those of a symmetric one on both sides."""
+    try:
+        return setup(record, index).centers_and_images().points
+    except UserError:  # a kernel that is unknown here still has centers to show
+        return record.centers[index]
 
 
 def _stretch(record: Record, errors: Array) -> tuple[float, str]:
@@ -61,7 +72,8 @@ def _stretch(record: Record, errors: Array) -> tuple[float, str]:
     true = record.gradient_norm
     if true is not None and true * largest <= diagonal:
         return true, ""
-    return EXAGGERATED * diagonal / largest, "\n(displacement not to scale)"
+    exaggerated = EXAGGERATED if record.summary.get("gradient_is") != "direction" else ONE_STEP
+    return exaggerated * diagonal / largest, "\n(displacement not to scale)"
 
 
 def _panel(
@@ -74,10 +86,10 @@ def _panel(
 ) -> Callable[[Axes, Choice], None]:
     def draw(axes: Axes, choice: Choice) -> None:
         vertices = record.vertices if shapes is None else shapes[choice.index]
-        centers = record.centers[choice.index] if shapes is None else np.empty((0, 3))
+        centers = _with_images(record, choice.index) if shapes is None else np.empty((0, 3))
         paint(axes, view, vertices, record.faces, colors(choice), centers, radius)
         axes.set_xlim(-view.half, view.half)
-        axes.set_ylim(-view.half, view.half)
+        axes.set_ylim(-view.tall, view.tall)
         axes.set_aspect("equal")
         axes.set_axis_off()
 

@@ -6,20 +6,26 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rbfevo.record import Array
+from rbfevo.figures.local_error import local_error
+from rbfevo.record import Array, Record
 
 FRONT = np.array([0.36, 0.20, 1.0])  # towards the camera: +z is the front, +y is up, slightly turned
 UP = np.array([0.0, 1.0, 0.0])
+FLATTEST = 0.65  # the least height of a panel over its width
 
 
 class View(NamedTuple):
-    """An orthographic camera: unit vectors right, up and towards it, what it looks at (all [3]), half its side."""
+    """An orthographic camera: unit vectors right, up and towards it, what it looks at (all [3]), half its side.
+
+    `tall` is half the height of what it is to show, at most `half`.
+    """
 
     right: Array
     up: Array
     towards: Array
     focus: Array
     half: float
+    tall: float
 
     def project(self, points: Array) -> tuple[Array, Array]:
         """Return where points [q, 3] stand in the picture [q, 2] and how near they are [q], larger being nearer."""
@@ -39,8 +45,32 @@ def view_of(points: Array, margin: float, front: Array = FRONT, upward: Array = 
     axes = np.stack([right, up, towards])
     seen = points @ axes.T
     low, high = seen.min(axis=0), seen.max(axis=0)
-    half = float((high - low)[:2].max() / 2 + margin)
-    return View(right, up, towards, (low + high) / 2 @ axes, half)
+    wide, tall = ((high - low)[:2] / 2 + margin).tolist()
+    half = max(wide, tall)
+    return View(right, up, towards, (low + high) / 2 @ axes, half, max(tall, FLATTEST * half))
+
+
+def standpoint(record: Record) -> tuple[Array, Array]:
+    """Where the camera stands, and what is up [3]: before a face; on a mesh where most of its wanted displacement shows.
+
+    A mesh says which axis is up. The camera stands a little above one of its four corners.
+    """
+    if record.summary.get("scenario") != "mesh":
+        return FRONT, UP
+    axis = "xyz".find(str(record.summary.get("up", "z"))[:1])
+    upward = np.eye(3)[axis]
+    flat = [other for other in range(3) if other != axis]
+    a, b, c = np.moveaxis(record.vertices[record.faces], 1, 0)
+    normals = np.cross(b - a, c - a)  # twice the area long
+    wanted = local_error(record.gradient)[record.faces].mean(axis=1)
+    corners = []
+    for x, y in ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)):
+        corner = 0.55 * upward
+        corner[flat] = 0.75 * x, 1.0 * y
+        corners.append(corner)
+    shown = [float((wanted * np.maximum(normals @ corner, 0.0)).sum()) for corner in corners]
+    best = max(shown)
+    return next(corner for corner, much in zip(corners, shown, strict=True) if much >= best * (1 - 1e-6)), upward
 
 
 def hidden(points: Array, vertices: Array, faces: Array, view: View) -> Array:

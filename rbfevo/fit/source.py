@@ -45,7 +45,9 @@ def rebuild(run: Path, record: Record) -> Source:
     try:
         settings = check(config)
         scenario = build(settings.scenario)
-        kernel: Kernel = build(settings.kernel, scenario.vertices.shape[1], scenario.support)
+        kernel: Kernel = build(
+            settings.kernel, scenario.vertices.shape[1], scenario.support, scenario.diagonal
+        )
     except (OmegaConfBaseException, HydraException) as error:
         reason = " ".join(str(error).split())
         raise UserError(f"{run / '.hydra' / 'config.yaml'} is not the configuration of a run: {reason}") from None

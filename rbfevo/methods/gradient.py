@@ -98,7 +98,7 @@ class GradientSearch(Method):
         random = problem.initial.centers
         random = random[torch.arange(len(kind), device=random.device) % len(random)]
         base = torch.stack((lloyd, ols))[kind.clamp_min(0)] + scattered
-        centers = torch.where((kind == RANDOM)[:, None, None], random, base)
+        centers = problem.parameterization(torch.where((kind == RANDOM)[:, None, None], random, base))
         return ((centers - problem.lower) / self._side).flatten(1).clamp(0.0, 1.0)
 
     def step(self) -> None:
@@ -112,19 +112,22 @@ class GradientSearch(Method):
             self._climb.revalue()
             self._renew = True
         points = self._climb.ask()
-        spectrum = self._problem.spectrum(self._centers(points))
+        placed = self._placed(points)
+        spectrum = self._problem.spectrum(self._problem.parameterization(placed))
         objectives = torch.stack((spectrum.regularity, spectrum.potential), dim=1)
         if self._renew:
             self._exponents, self._renew = exponents(objectives[:, 0], self._sharpness), False
         log_regularity, slope = soft_regularity(spectrum, self._exponents)
         values, in_regularity, in_potential = self._team.aim(log_regularity, spectrum.potential)
         gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential)
+        gradient = self._problem.parameterization.pull(placed, gradient)
         self._climb.tell(values, (gradient * self._side).flatten(1))
         self._team.move(self._climb, points, objectives, self._climb.accepted)
         self._step += 1
 
-    def _centers(self, points: Tensor) -> Tensor:
-        return self._problem.lower + self._side * self._problem.unflatten(points)
+    def _placed(self, points: Tensor) -> Tensor:
+        """Points [p, D] of the unit box as points [p, m, d] of the box."""
+        return self._problem.lower + self._side * points.unflatten(1, (self._problem.centers, -1))
 
     def progress(self) -> list[tuple[float, Tensor]]:
         return self._team.progress()
@@ -133,5 +136,5 @@ class GradientSearch(Method):
         points, objectives, preference = self._team.found()
         if not len(points):
             return []
-        centers = self._centers(points)
+        centers = self._problem.parameterization(self._placed(points))
         return [Rows(self.name, centers, unscored(centers, objectives), preference)]

@@ -24,11 +24,15 @@ class RandomHeuristic(Heuristic):
 
     def place(self, problem: Problem) -> Tensor:
         """[population, m, d]."""
-        return problem.scenario.sample(self.population, problem.centers, problem.stream("random"))
+        centers = problem.scenario.sample(self.population, problem.centers, problem.stream("random"))
+        return problem.parameterization(centers)
 
 
 class LloydHeuristic(Heuristic):
-    """Uniform centers by Lloyd sampling, for high regularity: the best of `starts` runs of k-means on the vertices."""
+    """Uniform centers by Lloyd sampling, for high regularity: the best of `starts` runs of k-means on the vertices.
+
+    Of a symmetric design it sees one half.
+    """
 
     name = "lloyd"
 
@@ -39,21 +43,23 @@ class LloydHeuristic(Heuristic):
 
     def place(self, problem: Problem) -> Tensor:
         """[1, m, d]."""
-        scenario = problem.scenario
-        return lloyd(
-            scenario.vertices,
+        design = problem.scenario.half()
+        centers = lloyd(
+            design.vertices,
             problem.centers,
             generator=problem.stream("lloyd"),
-            weights=scenario.weights,
+            weights=design.weights,
             starts=self.starts,
             iterations=self.iterations,
-        )[None]
+        )
+        return problem.parameterization.settle(centers)[None]
 
 
 class OlsHeuristic(Heuristic):
     """Greedy centers by orthogonal least squares on a grid of candidates, for high improvement potential.
 
-    They are chosen for indirect manipulation and used for both, since P is the same for both.
+    They are chosen for indirect manipulation and used for both, since P is the same for both. Of a symmetric design it
+    sees one half, without the images of the centers.
     """
 
     name = "ols"
@@ -64,11 +70,12 @@ class OlsHeuristic(Heuristic):
 
     def place(self, problem: Problem) -> Tensor:
         """[1, m, d]."""
-        scenario = problem.scenario
-        return ols(
-            kernel_columns(scenario.vertices, problem.kernel),
+        design = problem.scenario.half()
+        centers = ols(
+            kernel_columns(design.vertices, problem.kernel),
             grid_candidates(problem.lower, problem.upper, self.per_axis),
-            scenario.gradient,
+            design.gradient,
             problem.centers,
-            weights=scenario.weights,
-        ).centers[None]
+            weights=design.weights,
+        ).centers
+        return problem.parameterization.settle(centers)[None]

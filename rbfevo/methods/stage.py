@@ -17,6 +17,7 @@ from rbfevo.errors import UserError
 from rbfevo.evolvability import Scores
 from rbfevo.gradients import Spectrum
 from rbfevo.kernels import Kernel
+from rbfevo.parameterization import Parameterization
 from rbfevo.pareto import hypervolume
 from rbfevo.scenarios.scenario import Scenario
 
@@ -50,7 +51,7 @@ class Problem:
 
     Attributes:
         evaluate: centers [*pop, m, d] -> Scores [*pop].
-        lower, upper: [d] corners of the box.
+        lower, upper: [d] corners of the box that is searched.
         centers: m, centers a setup.
         stream: name -> a generator that depends on the run's seed and that name alone.
         preferences: those asked for, or None.
@@ -58,6 +59,7 @@ class Problem:
         scenario, kernel: for heuristics.
         spectrum: centers [p, m, d] -> singular values and P with gradients, for searches that climb.
         coarsened: count -> the same problem on at most so many weighted vertices.
+        parameterization: what makes centers of genotypes.
     """
 
     evaluate: Callable[[Tensor], Scores]
@@ -71,6 +73,7 @@ class Problem:
     kernel: Kernel
     spectrum: Callable[[Tensor], Spectrum]
     coarsened: Callable[[int], Problem]
+    parameterization: Parameterization = dataclasses.field(default_factory=Parameterization)
 
     @property
     def flat_box(self) -> tuple[Tensor, Tensor]:
@@ -78,8 +81,8 @@ class Problem:
         return self.lower.repeat(self.centers), self.upper.repeat(self.centers)
 
     def unflatten(self, genotypes: Tensor) -> Tensor:
-        """Genotypes [*pop, D] -> centers [*pop, m, d]: the identity parameterization."""
-        return genotypes.unflatten(-1, (self.centers, -1))
+        """Genotypes [*pop, D] in the box -> centers [*pop, m, d]."""
+        return self.parameterization(genotypes.unflatten(-1, (self.centers, -1)))
 
 
 class Method(abc.ABC):

@@ -1,6 +1,7 @@
 """What is to be designed: every function here builds one Scenario."""
 
 from rbfevo.scenarios.face import face
+from rbfevo.scenarios.mesh import mesh
 from rbfevo.scenarios.plane import plane
 
-__all__ = ["face", "plane"]
+__all__ = ["face", "mesh", "plane"]

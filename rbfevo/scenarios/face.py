@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.scenarios import correspondence, placement
+from rbfevo.scenarios import placement
+from rbfevo.scenarios.pairing import REJECTIONS, pair
 from rbfevo.scenarios.scenario import Scenario, unit_gradient
 from rbfevo.scenarios.surfaces import read_surface
-
-REJECTIONS = ("boundary", "none")
 
 
 def face(
@@ -44,7 +43,7 @@ def face(
     """
     if isinstance(subdivisions, bool) or not isinstance(subdivisions, int) or not 1 <= subdivisions <= 8:
         raise UserError(f"subdivisions must be a whole number from 1 to 8, not {subdivisions}")
-    if reject not in REJECTIONS:
+    if reject not in REJECTIONS:  # before anything is read
         raise UserError(f"reject must be one of {', '.join(REJECTIONS)}, not {reject!r}")
 
     if scan is None:
@@ -65,8 +64,7 @@ def face(
     notes["scan frame"] = f"up {up} -> +y, front {front} -> +z, times {scale:.6g}, front at z = 1"
 
     sphere, faces = _icosphere(subdivisions)
-    query = _query(vertices, triangles)
-    displacement, rejected, facts = _displacements(query, sphere, vertices, triangles, reject)
+    displacement, rejected, facts, query = pair(sphere, sphere, vertices, triangles, reject)
     notes |= facts
     if rejected.all():
         raise UserError(
@@ -115,39 +113,6 @@ def _icosphere(subdivisions: int) -> tuple[NDArray[np.float64], NDArray[np.int64
 
     sphere = trimesh.creation.icosphere(subdivisions=subdivisions, radius=1.0)
     return np.array(sphere.vertices, np.float64), np.array(sphere.faces, np.int64)
-
-
-def _query(vertices: NDArray[np.float64], triangles: NDArray[np.int64] | None) -> correspondence.Query:
-    """Closest points of the scan, and the triangle or the point of the cloud that each of them is in."""
-    if triangles is None:
-        return correspondence.cloud_query(vertices)
-    return correspondence.surface_query(vertices, triangles)
-
-
-def _displacements(
-    query: correspondence.Query,
-    sphere: NDArray[np.float64],
-    vertices: NDArray[np.float64],
-    triangles: NDArray[np.int64] | None,
-    reject: str,
-) -> tuple[NDArray[np.float64], NDArray[np.bool_], dict[str, str]]:
-    """Pair the sphere's vertices [n, 3] with the scan; return displacements [n, 3], the rejected [n], and notes."""
-    rejected = behind = np.zeros(len(sphere), bool)
-    if triangles is None:
-        closest, index = query(sphere)
-        if reject == "boundary":
-            rejected = correspondence.beyond_rim(sphere, index, vertices)
-    else:
-        closest, triangle = query(sphere)
-        if reject == "boundary":
-            rejected = correspondence.on_open_boundary(closest, triangle, vertices, triangles)
-        behind = correspondence.from_behind(triangle, sphere, ~rejected, vertices, triangles)
-    displacement = np.where(rejected[:, None], 0.0, closest - sphere)
-    facts = {"rejected": f"{int(rejected.sum())} of {len(sphere)} vertices stay (reject={reject})"}
-    if behind.any():
-        share = (displacement[behind] ** 2).sum() / (displacement**2).sum()
-        facts["from behind"] = f"{int(behind.sum())} vertices reach the scan's inner side ({share:.1%} of |g|^2)"
-    return displacement, rejected, facts
 
 
 def _sample_sphere(count: int, m: int, generator: torch.Generator) -> Tensor:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.mirror import Mirror
+from rbfevo.parameterization import Parameterization, Region
 
 Sampler = Callable[[int, int, torch.Generator], Tensor]
 Closest = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -36,6 +38,13 @@ class Scenario:
             None where the wanted displacement is fixed.
         stays: [n] bool, the vertices that have no pair on that target and are to stay where they are; None if all
             have one.
+        direction_only: whether g says where to move but not how far, as a sensitivity does.
+        mirror: the plane that setups stay symmetric about, or None.
+        keep_out: where no center may sit, or None.
+        search_vertices: weighted vertices that searches look at instead of all, or None for all.
+        up: the axis that is up in pictures, x, y or z.
+        warnings: what the user should know before trusting a result.
+        rows: [n] which points of the template's file the vertices are, or None where there is no file.
     """
 
     name: str
@@ -51,6 +60,13 @@ class Scenario:
     notes: dict[str, str] = dataclasses.field(default_factory=dict)
     closest: Closest | None = None
     stays: Tensor | None = None
+    direction_only: bool = False
+    mirror: Mirror | None = None
+    keep_out: Region | None = None
+    search_vertices: int | None = None
+    up: str = "y"
+    warnings: list[str] = dataclasses.field(default_factory=list)
+    rows: Tensor | None = None
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
@@ -65,6 +81,46 @@ class Scenario:
         for name in ("vertices", "gradient", "weights", "lower", "upper"):
             if not bool(torch.isfinite(getattr(self, name)).all()):
                 raise UserError(f"scenario {self.name}: {name} has values that are not finite")
+
+    @property
+    def diagonal(self) -> float:
+        """Length of the box's diagonal, model units."""
+        return float((self.upper - self.lower).norm())
+
+    @property
+    def side(self) -> float:
+        """On which side of the mirror the centers sit: the one that reaches farther, +1 or -1."""
+        if self.mirror is None:
+            return 1.0
+        axis, at = self.mirror.axis, self.mirror.at
+        return 1.0 if float(self.upper[axis]) - at >= at - float(self.lower[axis]) else -1.0
+
+    @property
+    def search_box(self) -> tuple[Tensor, Tensor]:
+        """Corners [d], [d] of the box that centers are searched in: the half on one side of the mirror, if any."""
+        lower, upper = self.lower.clone(), self.upper.clone()
+        if self.mirror is not None:
+            (lower if self.side > 0 else upper)[self.mirror.axis] = self.mirror.at
+        return lower, upper
+
+    @property
+    def parameterization(self) -> Parameterization:
+        """What makes setups of points in the box."""
+        return Parameterization(self.mirror, self.side, self.keep_out)
+
+    def half(self) -> Scenario:
+        """The design on the centers' side of the mirror, plane included; the whole one where there is no mirror.
+
+        Where nothing lies on that side, the whole one too. It has no faces.
+        """
+        if self.mirror is None:
+            return self
+        height = self.side * (self.vertices[:, self.mirror.axis] - self.mirror.at)
+        kept = height >= -self.mirror.tolerance
+        parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in ("vertices", "gradient", "weights")}
+        if not bool((parts["gradient"] != 0).any()):
+            return self
+        return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None)
 
     def to(self, device: torch.device) -> Scenario:
         """The same scenario with its tensors on `device`."""

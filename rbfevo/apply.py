@@ -1,0 +1,167 @@
+"""`python -m rbfevo.apply RUN --pick knee --displacements FILE --mesh FILE --out FILE`: deform a mesh with a setup."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from rbfevo import exchange
+from rbfevo.columns import Setup, setup
+from rbfevo.errors import UserError
+from rbfevo.exchange.command import Parser, carried_out
+from rbfevo.exchange.tables import read_rows
+from rbfevo.picks import pick
+from rbfevo.record import Array, Record, read
+
+FAR = 0.01  # of the largest displacement of a center: what moves farther outside the box is told
+DESCRIPTION = """Deform a mesh with the control points of one setup of a run.
+
+You say how far each control point moves (--displacements, in the unit of the mesh), as in the displacements.csv that
+python -m rbfevo.export writes; every point of the mesh follows. The mesh can be the template of the run or any other
+one in the same place and unit: a finer surface, a volume mesh, a cloud. All else in its file is kept."""
+EPILOG = f"""Meshes: {", ".join(ending[1:] for ending in exchange.ENDINGS)}.
+The ending of --out is that of --mesh, or one of {", ".join(exchange.CONVERSIONS)}."""
+
+
+def parser() -> Parser:
+    """The options."""
+    made = Parser("rbfevo.apply", DESCRIPTION, EPILOG)
+    what = made.add_mutually_exclusive_group(required=True)
+    what.add_argument(
+        "--displacements",
+        type=Path,
+        metavar="FILE",
+        help="how far each center moves: CSV with columns center,dx,dy,dz or just three (on the plane also one, the "
+        "height), NPY [m, 3] or NPZ with an array displacements",
+    )
+    what.add_argument("--weights", type=Path, metavar="FILE", help="the same for the RBF weights, center,wx,wy,wz")
+    made.add_argument("--mesh", type=Path, required=True, metavar="FILE", help="what to deform")
+    made.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the deformed mesh goes")
+    made.add_argument("--overwrite", action="store_true", help="replace --out if it is there")
+    made.add_argument("--quiet", action="store_true", help="say nothing but warnings")
+    return made
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Carry out the command line; return 0, or 2 for a user's mistake."""
+    return carried_out(parser(), carry_out, arguments)
+
+
+def carry_out(options: argparse.Namespace) -> None:
+    """Deform one mesh.
+
+    Raises:
+        UserError: for a user's mistake; nothing is written then.
+    """
+    record = read(options.run)
+    chosen = setup(record, pick(record, options.pick))
+    refuse_out(options)
+    what, path = (
+        ("weights", options.weights) if options.displacements is None else ("displacements", options.displacements)
+    )
+    rows = read_rows(path, what, len(chosen.centers), heights=chosen.centers.shape[1] == 2)
+    try:
+        chosen.refuse_across(rows, what.removesuffix("s"))
+    except UserError as error:
+        raise UserError(f"--{what} {path}: {error}") from None
+    with np.errstate(over="ignore", invalid="ignore"), exchange.opened(options.mesh) as mesh:
+        weights = rows if what == "weights" else chosen.weights(rows)
+        displacement = chosen.displacement(mesh.points[:, : chosen.centers.shape[1]], weights)
+        moved = mesh.points + displacement
+        if not np.isfinite(moved).all():
+            raise UserError(f"--{what} {path}: with such large numbers the deformed points are not finite")
+        if mesh.dimension == 2 and options.out.suffix.lower() not in exchange.CONVERSIONS and displacement[:, 2].any():
+            raise UserError(
+                f"{options.mesh}: its points have no z, along which they are to move; choose --out FILE.vtu"
+            )
+        notes = exchange.write(mesh, options.mesh, moved, displacement, options.out)
+        centers = rows if what == "displacements" else chosen.displacement(chosen.centers, weights)
+        length = np.linalg.norm(displacement, axis=1)
+        largest = float(np.linalg.norm(centers, axis=1).max())
+        for warning in warnings(record, chosen, mesh, moved, length, largest):
+            print(f"warning: {warning}", file=sys.stderr, flush=True)
+    if not options.quiet:
+        for note in notes:
+            print(f"note: {note}")
+        print(f"{len(moved)} points moved by at most {length.max():.6g}; the centers by at most {largest:.6g}")
+        print(f"written: {options.out}", flush=True)
+
+
+def refuse_out(options: argparse.Namespace) -> None:
+    """Raise UserError if the result cannot go where it is to go."""
+    exchange.refuse_ending(options.mesh, options.out)
+    if options.out.exists() and not options.overwrite:
+        raise UserError(f"--out {options.out} is there already: choose another one, or add --overwrite")
+    if options.out.is_dir():
+        raise UserError(f"--out {options.out} is a directory")
+    if not options.out.parent.is_dir():
+        raise UserError(f"--out {options.out}: there is no directory {options.out.parent}")
+
+
+def warnings(
+    record: Record, chosen: Setup, mesh: exchange.Mesh, moved: Array, length: Array, largest: float
+) -> Iterator[str]:
+    """What may be wrong with a deformation, a line each: length [q] of the displacements, largest of a center."""
+    places = mesh.points[:, : chosen.centers.shape[1]]
+    lowest, highest = places.min(axis=0), places.max(axis=0)
+    apart = bool((lowest > record.upper).any() or (highest < record.lower).any())
+    if chosen.support is not None:
+        nearest = KDTree(chosen.centers_and_images().points).query(places)[0].min()
+        if nearest >= chosen.support:
+            yield (
+                f"no point of the mesh lies within reach of a center (support radius {chosen.support:g}, the nearest "
+                f"is {nearest:.4g} away), so nothing moves; {_boxes(record, lowest, highest)}"
+            )
+            return
+    if apart:
+        yield f"the mesh lies outside the box of the run; {_boxes(record, lowest, highest)}"
+    if chosen.support is None:
+        margin = 1e-9 * float(np.linalg.norm(record.upper - record.lower))
+        outside = ((places < record.lower - margin) | (places > record.upper + margin)).any(axis=1)
+        far = outside & (length > FAR * largest)
+        if far.any():
+            yield (
+                f"the {chosen.kernel} kernel reaches everywhere: {int(far.sum())} points outside the box of the run "
+                f"move by more than {100 * FAR:g} % of the largest displacement of a center, at most by "
+                f"{length[far].max():.4g}"
+            )
+    if mesh.triangles is not None:
+        turned = int((_dots(mesh.points, moved, mesh.triangles) < 0).sum())
+        if turned:
+            yield f"{turned} of {len(mesh.triangles)} triangles turn by more than 90 degrees: the surface may fold over"
+    if mesh.tetrahedra is not None:
+        before, after = _volumes(mesh.points, mesh.tetrahedra), _volumes(moved, mesh.tetrahedra)
+        inverted = int(((before * after < 0) | ((before != 0) & (after == 0))).sum())
+        if inverted:
+            yield f"{inverted} of {len(mesh.tetrahedra)} tetrahedra are inverted or flat: this volume mesh is unusable"
+
+
+def _boxes(record: Record, lowest: Array, highest: Array) -> str:
+    def say(lower: Array, upper: Array) -> str:
+        return ", ".join(f"{axis} {a:.4g} .. {b:.4g}" for axis, a, b in zip("xyz", lower, upper, strict=False))
+
+    return f"another place or unit? Mesh: {say(lowest, highest)}; box: {say(record.lower, record.upper)}"
+
+
+def _dots(before: Array, after: Array, triangles: Array) -> Array:
+    """Products [f] of the area vectors of triangles before and after."""
+    areas = [
+        np.cross(p[triangles[:, 1]] - p[triangles[:, 0]], p[triangles[:, 2]] - p[triangles[:, 0]])
+        for p in (before, after)
+    ]
+    return (areas[0] * areas[1]).sum(axis=1)
+
+
+def _volumes(points: Array, tetrahedra: Array) -> Array:
+    """Six times the signed volumes [t]."""
+    a, b, c, d = np.moveaxis(points[tetrahedra], 1, 0)
+    return (np.cross(b - a, c - a) * (d - a)).sum(axis=1)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,101 @@
+"""The other end of `program.py`: meshes that VTK or meshio reads and writes, in a process that may die."""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rbfevo.errors import UserError
+from rbfevo.exchange import program
+from rbfevo.exchange.mesh import FormatError, Mesh
+from rbfevo.record import Array
+
+SOLVER = "written anew by meshio, which keeps points, cells and the arrays and sets that it knows, and nothing else"
+
+
+@contextlib.contextmanager
+def foreign(kind: str, path: Path) -> Iterator[Mesh]:
+    """A mesh that `kind` (`vtk` or `meshio`) reads, open until the end of the block.
+
+    Raises:
+        FormatError: if it cannot be read; UserError by `write` if it cannot be written.
+    """
+    command = [sys.executable, "-P", program.__file__, kind, str(path)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL) as process:
+        try:
+            try:
+                found = _reply(process, {"vtk": "VTK", "meshio": "meshio"}[kind])
+            except ValueError as error:
+                raise FormatError(str(error)) from None
+            points = found["points"].astype(np.float64)
+            width = points.shape[1]
+            full = np.zeros((len(points), 3))
+            full[:, :width] = points
+            triangles, tetrahedra = (found[name] if len(found[name]) else None for name in ("triangles", "tetrahedra"))
+
+            def write(moved: Array, displacement: Array, out: Path) -> list[str]:
+                return _write(process, {"moved": moved, "displacement": displacement}, out, kind)
+
+            yield Mesh(full, triangles, tetrahedra, width, [SOLVER] if kind == "meshio" else [], write)
+        finally:
+            process.kill()
+
+
+def _reply(process: subprocess.Popen[bytes], name: str) -> dict[str, Any]:
+    assert process.stdout is not None
+    try:
+        reply = program.receive(process.stdout)
+    except EOFError:
+        raise ValueError(f"{name} dies of it: damaged, or too large for the memory") from None
+    if "problem" in reply:
+        raise ValueError(str(reply["problem"]))
+    return reply
+
+
+def _write(process: subprocess.Popen[bytes], arrays: dict[str, Any], out: Path, name: str) -> list[str]:
+    assert process.stdin is not None
+    with _beside(out) as place:
+        try:
+            program.send(process.stdin, {**arrays, "out": str(place)})
+            notes = _reply(process, name)["notes"]
+        except (ValueError, OSError) as error:
+            raise UserError(f"{out} cannot be written: {error}") from None
+    return [str(note) for note in notes]
+
+
+@contextlib.contextmanager
+def _beside(out: Path) -> Iterator[Path]:
+    """A place of the same name in a directory of its own; what lies there at the end moves to `out`, whole.
+
+    Some formats keep their arrays in a second file beside the first.
+    """
+    try:
+        with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as directory:
+            place = Path(directory) / out.name
+            yield place
+            for written in sorted(Path(directory).iterdir(), key=lambda path: path == place):
+                written.chmod(0o644)
+                written.replace(out.parent / written.name)
+    except OSError as error:
+        raise UserError(f"{out} cannot be written: {error.strerror or error}") from error
+
+
+def write_dataset(dataset: Any, out: Path) -> None:
+    """Write a VTK dataset of our own, whole.
+
+    Raises:
+        UserError: if it cannot be written there.
+    """
+    with _beside(out) as place:
+        try:
+            program.write_dataset(dataset, place)
+        except ValueError as error:
+            raise UserError(f"{out} cannot be written: {error}") from None

@@ -1,0 +1,245 @@
+"""`python -m rbfevo.export RUN --pick knee`: write one setup of a run for other programs, ready to use."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rbfevo.columns import Setup, setup
+from rbfevo.errors import UserError
+from rbfevo.exchange.command import Parser, carried_out
+from rbfevo.files import csv_text, npz, refuse_held, write_whole
+from rbfevo.picks import pick
+from rbfevo.record import Array, Record, read
+
+FILES = (
+    *("centers.csv", "centers.vtp", "template.vtp", "setup.npz"),
+    *("displacements.csv", "weights.csv", "parameters.prm"),
+)
+STEP = 0.05  # of the diagonal of the template's bounding box
+DESCRIPTION = """Write one setup of a run (control points and what they can do) for other programs.
+
+centers.csv        the control points;  centers.vtp, template.vtp: the same and the mesh, for ParaView
+displacements.csv  how far to move each control point: edit it, then deform any mesh with python -m rbfevo.apply
+weights.csv        the RBF weights that do the same
+setup.npz          arrays for your own optimizer: X' = X + U P
+parameters.prm     control points for PyGeM"""
+
+
+class Move(NamedTuple):
+    """What the setup makes of the wanted displacement, k components.
+
+    Attributes:
+        wanted, reached: [n, k] at the vertices; weights: [m, k]; centers: [m, k] displacements of the centers.
+        direction: whether only the direction was given, so that the size is that of `--step`.
+    """
+
+    wanted: Array
+    reached: Array
+    weights: Array
+    centers: Array
+    direction: bool
+
+
+def parser() -> Parser:
+    """The options."""
+    made = Parser("rbfevo.export", DESCRIPTION, "An existing export is never overwritten.")
+    made.add_argument("--out", type=Path, metavar="DIR", help="directory to write; RUN/export-PICK")
+    made.add_argument(
+        "--step",
+        type=float,
+        default=STEP,
+        help="where the run knows a direction only (a sensitivity): the largest displacement of a vertex, as a part "
+        f"of the diagonal of the mesh ({STEP:g})",
+    )
+    made.add_argument("--quiet", action="store_true", help="say nothing")
+    return made
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Carry out the command line; return 0, or 2 for a user's mistake."""
+    return carried_out(parser(), carry_out, arguments)
+
+
+def carry_out(options: argparse.Namespace) -> None:
+    """Write the files of one setup.
+
+    Raises:
+        UserError: for a user's mistake; nothing is written then.
+    """
+    record = read(options.run)
+    row = pick(record, options.pick)
+    if not 0 < options.step < float("inf"):
+        raise UserError(f"--step {options.step:g}: a number above 0 is expected")
+    if record.vertices.shape[1] == 3 and record.gradient.shape[1] != 3:
+        raise UserError(f"{options.run}: its gradient does not have the three components of a displacement in space")
+    out = options.out or options.run / f"export-{options.pick.strip().replace(':', '-')}"
+    refuse_held(out, FILES, "--out")
+    chosen = setup(record, row)
+    move = wanted_move(record, chosen, options.step)
+    contents, left_out = tables(record, chosen, move)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--out {out} cannot be made: {error.strerror or error}") from None
+    for name, content in contents.items():
+        write_whole(out / name, content)
+    write_vtp(out, record, chosen, move)
+    if not options.quiet:
+        for line in closing(options, record, chosen, move, out, list(contents), left_out):
+            print(line, flush=True)
+
+
+def wanted_move(record: Record, chosen: Setup, step: float) -> Move:
+    """The least-squares best approximation of the wanted displacement.
+
+    Where only a direction is known it is scaled until a vertex moves by `step` times the diagonal of the template's
+    bounding box, and none moves farther.
+    """
+    direction = record.summary.get("gradient_is") == "direction" or record.gradient_norm is None
+    scale, weights = record.gradient_norm or 1.0, chosen.best(record)
+    wanted, reached = record.gradient * scale, chosen.displacement(record.vertices, weights)
+    if direction:
+        farthest = float(np.linalg.norm(reached, axis=1).max())
+        farthest = farthest if farthest > 1e-9 * np.linalg.norm(wanted, axis=1).max() else 0.0
+        diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
+        factor = step * diagonal / (farthest or float(np.linalg.norm(wanted, axis=1).max()) or 1.0)
+        wanted, reached, weights = factor * wanted, factor * reached, factor * weights
+    centers = chosen.displacement(chosen.centers, weights)
+    if chosen.mirror is not None and chosen.crosses(centers.shape[1]):
+        centers[chosen.on_plane, chosen.mirror.axis] = 0.0  # rounding apart it is
+    return Move(wanted, reached, weights, centers, direction)
+
+
+def spatial(rows: Array) -> Array:
+    """Rows [q, k] of a displacement or of points with three components: one component is a height, z."""
+    k = rows.shape[1]
+    full = np.zeros((len(rows), 3))
+    full[:, 2 if k == 1 else slice(0, k)] = rows[:, 0] if k == 1 else rows
+    return full
+
+
+def tables(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes], dict[str, str]]:
+    """The contents of all files but VTK's, and why others are left out."""
+    physical, left_out = chosen.centers_and_images(), {}
+    rows = zip(physical.column.tolist(), spatial(physical.points).tolist(), physical.mirrored.tolist(), strict=True)
+    lines = [(column, *point, int(mirrored)) for column, point, mirrored in rows]
+    contents = {
+        "centers.csv": csv_text(["center", "x", "y", "z", "mirrored"], lines),
+        "weights.csv": _numbered(["wx", "wy", "wz"], spatial(move.weights)),
+    }
+    crosses = chosen.crosses(record.gradient.shape[1])
+    singular = chosen.singular() or (crosses and chosen.singular(across=True))
+    if singular:
+        reason = "Psi is numerically singular: these centers cannot be moved one by one"
+        left_out |= dict.fromkeys(("displacements.csv", "parameters.prm"), reason)
+        if chosen.manipulation == "direct":
+            left_out["U in setup.npz"] = reason
+    else:
+        contents["displacements.csv"] = _numbered(["dx", "dy", "dz"], spatial(move.centers))
+        from rbfevo.exchange import pygem
+
+        try:
+            contents["parameters.prm"] = pygem.parameters(chosen, spatial(move.centers))
+        except UserError as error:
+            left_out["parameters.prm"] = str(error)
+    contents["setup.npz"] = npz(_arrays(record, chosen, crosses, singular))
+    return contents, left_out
+
+
+def _numbered(names: list[str], rows: Array) -> bytes:
+    return csv_text(["center", *names], [(center, *row) for center, row in enumerate(rows.tolist())])
+
+
+def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dict[str, Any]:
+    mirror = chosen.mirror
+    arrays: dict[str, Any] = {
+        "centers": chosen.centers,
+        "vertices": record.vertices,
+        "faces": record.faces,
+        "lower": record.lower,
+        "upper": record.upper,
+        "kernel": np.array(chosen.kernel),
+        "support": np.array(np.nan if chosen.support is None else chosen.support),
+        "manipulation": np.array(chosen.manipulation),
+        "symmetry_axis": np.array("" if mirror is None else "xyz"[mirror.axis]),
+        "symmetry_at": np.array(np.nan if mirror is None else mirror.at),
+        "regularity": np.array(chosen.regularity),
+        "improvement_potential": np.array(chosen.improvement_potential),
+        "row": np.array(chosen.row),
+    }
+    direct = chosen.manipulation == "direct"
+    if direct and singular:
+        return arrays
+    for name, across in [("U", False), ("U_across", True)][: 2 if crosses else 1]:
+        U = chosen.columns(record.vertices, across)
+        U = U[:, chosen.off_plane] if across else U
+        arrays[name] = np.linalg.solve(chosen.psi(across).T, U.T).T if direct and U.size else U
+    if crosses:
+        arrays["across"] = chosen.off_plane
+    return arrays
+
+
+def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
+    """Write centers.vtp and template.vtp."""
+    from rbfevo.exchange.foreign import write_dataset
+    from rbfevo.exchange.program import polydata
+
+    physical = chosen.centers_and_images()
+    arrays: dict[str, Array] = {
+        "center": physical.column.astype(np.int64),
+        "mirrored": physical.mirrored.astype(np.uint8),
+        "displacement": spatial(chosen.with_images(move.centers)),
+    }
+    if chosen.support is not None:
+        arrays["support"] = np.full(len(physical.points), chosen.support)
+    write_dataset(polydata(spatial(physical.points), None, arrays), out / "centers.vtp")
+    fields = {"wanted": move.wanted, "reached": move.reached, "left": move.wanted - move.reached}
+    fields = {name: spatial(field) for name, field in fields.items()} | {"weights": record.weights}
+    faces = record.faces if len(record.faces) else None
+    write_dataset(polydata(spatial(record.vertices), faces, fields), out / "template.vtp")
+
+
+def closing(
+    options: argparse.Namespace,
+    record: Record,
+    chosen: Setup,
+    move: Move,
+    out: Path,
+    written: list[str],
+    left_out: dict[str, str],
+) -> list[str]:
+    """The lines on the screen."""
+    wanted, reached = (float(np.linalg.norm(field, axis=1).max()) for field in (move.wanted, move.reached))
+    mirror = chosen.mirror
+    mirrored = "" if mirror is None else f", mirrored at {'xyz'[mirror.axis]} = {mirror.at:g}"
+    size = (
+        f"--step {options.step:g} of the mesh's diagonal, as the run knows a direction only" if move.direction else ""
+    )
+    lines = [
+        f"{options.pick.strip()}: row {chosen.row} of {options.run} ({record.method[chosen.row]}): "
+        f"R = {chosen.regularity:.4g}, P = {chosen.improvement_potential:.4f}",
+        f"{len(chosen.centers)} centers{mirrored}: {record.title}",
+        f"best approximation: a vertex moves by at most {reached:.4g}, wanted were {wanted:.4g}"
+        + (f" ({size})" if size else ""),
+        f"files: {out}: {', '.join(name for name in FILES if name in written or name.endswith('.vtp'))}",
+    ]
+    if "parameters.prm" in written:
+        from rbfevo.exchange.pygem import LINEAR
+
+        lines.append(f"parameters.prm: {LINEAR}")
+    lines += [f"left out: {name}: {reason}" for name, reason in left_out.items()]
+    what = "displacements" if "displacements.csv" in written else "weights"
+    words = [str(options.run), "--pick", options.pick.strip(), f"--{what}", str(out / f"{what}.csv")]
+    words += ["--mesh", str(out / "template.vtp"), "--out", str(out / "deformed.vtp")]
+    return [*lines, f"next: python -m rbfevo.apply {shlex.join(words)}"]
+
+
+if __name__ == "__main__":
+    sys.exit(main())

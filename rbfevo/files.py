@@ -1,0 +1,59 @@
+"""Files that appear whole or not at all, and the bytes of tables and archives."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rbfevo.errors import UserError
+
+
+def refuse_held(directory: Path, names: Sequence[str], option: str) -> None:
+    """Raise UserError if the directory already holds one of the results `names`: they are never overwritten."""
+    held = [name for name in names if (directory / name).exists()]
+    if held:
+        raise UserError(f"{directory} already holds results ({held[0]}): choose another {option}, or move them away")
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write a file so that it appears complete or not at all, even if the process dies meanwhile.
+
+    Raises:
+        UserError: if the file cannot be written there.
+    """
+    temporary = None
+    try:
+        descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with os.fdopen(descriptor, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except OSError as error:
+        if temporary is not None:
+            Path(temporary).unlink(missing_ok=True)
+        raise UserError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def npz(arrays: dict[str, np.ndarray]) -> bytes:
+    """A compressed .npz archive as bytes; no array needs pickle to be read."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def csv_text(names: Sequence[str], lines: Iterable[Sequence[Any]]) -> bytes:
+    """A CSV table as bytes; floats keep all their digits, NaN is an empty cell."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(["" if isinstance(cell, float) and cell != cell else cell for cell in line] for line in lines)
+    return buffer.getvalue().encode()

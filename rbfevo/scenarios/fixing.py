@@ -1,0 +1,74 @@
+"""Vertices that should not move: inside a box, or marked in an array."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.parameterization import BoxRegion, Region, VertexRegion
+from rbfevo.scenarios.correspondence import Mask, Points
+from rbfevo.scenarios.templates import Template
+from rbfevo.scenarios.vertex_arrays import vertex_array
+
+SHAPE = "a box is six numbers, [xmin,ymin,zmin,xmax,ymax,zmax], with null for an open side"
+
+
+class Fixing(NamedTuple):
+    """Which vertices [n] are fixed, the region that this makes, and how many there are, in words."""
+
+    fixed: Mask
+    region: Region
+    words: str
+
+
+def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor) -> Fixing:
+    """What `scenario.fixed` says of a template.
+
+    Args:
+        value: six numbers of a box (null: open), or the name of a point array or a file of one, where any value but 0
+            marks a vertex as fixed.
+        lower, upper: [3] corners of the scenario's box.
+
+    Raises:
+        UserError: for anything else, or if no vertex is fixed, or every one is.
+    """
+    if isinstance(value, str):
+        marks = vertex_array(value, template, "fixed")
+        fixed = np.asarray((marks.reshape(len(marks), -1) != 0.0).any(axis=1), bool)
+        low = high = None
+    else:
+        low, high = _box(value)
+        fixed = np.asarray(((template.vertices >= low) & (template.vertices <= high)).all(axis=1), bool)
+    if not fixed.any():
+        spans = ", ".join(f"{a:g} to {b:g}" for a, b in zip(*_extent(template.vertices), strict=True))
+        raise UserError(f"scenario.fixed={value}: it marks no vertex (the template spans {spans})")
+    if fixed.all():
+        raise UserError(f"scenario.fixed={value}: it marks every vertex, so that nothing may move")
+    if low is None or high is None:
+        region: Region = VertexRegion(torch.from_numpy(template.vertices), torch.from_numpy(fixed))
+    else:
+        region = BoxRegion(torch.from_numpy(low), torch.from_numpy(high), (lower, upper))
+    return Fixing(fixed, region, f"{int(fixed.sum())} of {len(fixed)} vertices are fixed")
+
+
+def _box(value: Any) -> tuple[Points, Points]:
+    sides = list(value) if isinstance(value, Sequence) else []
+    if len(sides) == 2 and all(isinstance(corner, Sequence) for corner in sides):
+        sides = [*sides[0], *sides[1]]
+    numbers = all(side is None or (isinstance(side, int | float) and not isinstance(side, bool)) for side in sides)
+    if len(sides) != 6 or not numbers:
+        raise UserError(f"scenario.fixed={value}: {SHAPE}; else the name of a point array or a file is expected")
+    low = np.array([-np.inf if side is None else float(side) for side in sides[:3]])
+    high = np.array([np.inf if side is None else float(side) for side in sides[3:]])
+    if np.isnan(low).any() or np.isnan(high).any() or (low > high).any():
+        raise UserError(f"scenario.fixed={value}: a lower side lies above its upper one; {SHAPE}")
+    return low, high
+
+
+def _extent(vertices: Points) -> tuple[Points, Points]:
+    return vertices.min(axis=0), vertices.max(axis=0)

@@ -1,0 +1,243 @@
+"""The engineer's own mesh, and where it should move: a target shape, or an adjoint solver's sensitivities."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.kernels import length
+from rbfevo.scenarios import fixing, placement, sensitivities, topology
+from rbfevo.scenarios import symmetry as symmetry_plane
+from rbfevo.scenarios.correspondence import Points, Triangles
+from rbfevo.scenarios.pairing import REJECTIONS, Pairing, pair
+from rbfevo.scenarios.scenario import Sampler, Scenario, unit_gradient
+from rbfevo.scenarios.surfaces import read_surface
+from rbfevo.scenarios.templates import Template, read_template
+from rbfevo.scenarios.vertex_arrays import vertex_array
+
+WEIGHTS = ("uniform", "area")
+MIXED_UNITS = 20.0  # times as large: metres and millimetres, or inches and millimetres
+
+
+def mesh(
+    template: str | None = None,
+    target: str | None = None,
+    sensitivity: str | None = None,
+    sensitivity_kind: str = "nodal",
+    objective: str = "minimize",
+    target_scale: float | None = None,
+    reject: str = "boundary",
+    margin: float = 0.05,
+    fixed: Any = None,
+    keep_out: bool = False,
+    weights: str = "uniform",
+    symmetry: str | None = None,
+    symmetry_at: float | None = None,
+    support: Any = "30%",
+    search_vertices: int | None = None,
+    up: str = "z",
+) -> Scenario:
+    """Build the design of a mesh of any position and size, with exactly one of a target and a sensitivity.
+
+    Args:
+        template: a surface mesh as `read_template` takes it.
+        target: a mesh or cloud as `read_surface` takes it: vertices want to go to their closest points on it.
+        sensitivity: the name of a point array of the template, or a CSV, NPY or NPZ file: one value a vertex, taken
+            along its normal, or three.
+        sensitivity_kind: `nodal` (integrated over a vertex's share of the surface) or `density` (per area).
+        objective: `minimize`: the design wants to move against the sensitivity; `maximize`: along it.
+        target_scale: what the target is multiplied by; None is 1, but mixed units are asked about.
+        reject: as for `face`.
+        margin: of the template's bounding box, by which the box is larger on each side, as a fraction of its diagonal.
+        fixed: vertices that should not move, as `fixing.fixing` takes it: their rows of g are 0.
+        keep_out: whether centers may not sit among the fixed vertices.
+        weights: `uniform`, each vertex counts the same (the paper), or `area`.
+        symmetry: x, y or z: setups stay symmetric about the plane across that axis, at `symmetry_at` or, where that is
+            None, in the middle of the template.
+        support: default support radius of compact kernels: model units, or a percentage of the box's diagonal.
+        search_vertices: weighted vertices that searches look at; None for all.
+        up: the axis that is up in pictures, x, y or z.
+
+    Raises:
+        UserError: on a setting out of range, an unusable file, or where nothing is left to be moved.
+    """
+    _check(template, reject, margin, weights, search_vertices, up)
+    sensitivities.check(sensitivity_kind, objective)
+    read = read_template(str(template))
+    notes = {"template": f"{template}: {len(read.vertices)} vertices, {len(read.triangles)} triangles"} | read.notes
+    if (target is None) == (sensitivity is None):
+        raise UserError(_which(read, target is not None))
+    design, words = _Design.of(read, weights)
+    notes |= words
+    lower, upper = _box(read.vertices, margin)
+    if target is not None:
+        pairing, words = _paired(design, target, target_scale, reject)
+        wanted, stays = pairing.displacement, pairing.rejected
+    else:
+        pairing = None
+        values = vertex_array(str(sensitivity), read, "sensitivity")
+        if not np.any(values):
+            raise UserError(f"scenario.sensitivity={sensitivity}: it is zero at every vertex: nothing wants to move")
+        wanted = sensitivities.wanted(values, design.normals, design.areas, design.mass, sensitivity_kind, objective)
+        stays = np.zeros(len(wanted), bool)
+        words = {"sensitivity": _convention(str(sensitivity), values, sensitivity_kind, objective)}
+    notes |= words
+    region = None
+    if fixed is not None:
+        held = fixing.fixing(fixed, read, lower, upper)
+        stays, wanted = stays | held.fixed, np.where(held.fixed[:, None], 0.0, wanted)
+        region = held.region if keep_out else None
+        notes["fixed"] = held.words + (", and centers are kept out of them" if keep_out else "")
+    elif keep_out:
+        raise UserError("scenario.keep_out=true needs scenario.fixed: there is nothing to keep centers out of")
+    if not wanted.any():
+        raise UserError(f"{target or sensitivity}: no vertex is left that wants to move; check fixed and reject")
+
+    vertices, faces, mass = (torch.from_numpy(part) for part in (read.vertices, design.triangles, design.mass))
+    gradient, norm = unit_gradient(torch.from_numpy(wanted), mass)
+    mirror, warnings = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, lower, upper), []
+    if mirror is not None:
+        words, warnings = symmetry_plane.words(mirror, read.vertices, design.triangles, gradient.numpy(), design.mass)
+        notes |= words
+    return Scenario(
+        name="mesh",
+        vertices=vertices,
+        faces=faces,
+        gradient=gradient,
+        weights=mass,
+        lower=lower,
+        upper=upper,
+        support=length("scenario.support", support, float((upper - lower).norm())),
+        sample=_sampler(vertices, faces),
+        gradient_norm=norm,
+        notes=notes,
+        warnings=warnings,
+        closest=None if pairing is None else lambda points: pairing.query(points)[0],
+        stays=torch.from_numpy(stays),
+        direction_only=pairing is None,
+        mirror=mirror,
+        keep_out=region,
+        search_vertices=search_vertices,
+        up=up,
+        rows=torch.from_numpy(read.rows),
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class _Design:
+    """A template's triangles with their normals on one side, and what follows: [n, 3] normals, [n] areas and mass."""
+
+    vertices: Points
+    triangles: Triangles
+    normals: Points
+    areas: NDArray[np.float64]
+    mass: NDArray[np.float64]
+
+    @staticmethod
+    def of(template: Template, weights: str) -> tuple[_Design, dict[str, str]]:
+        vertices = template.vertices
+        notes = topology.words(vertices, template.triangles)
+        triangles, turned = topology.oriented(vertices, template.triangles)
+        if turned:
+            notes["winding"] = f"{turned} triangles are turned, so that all normals point to one side"
+        areas = topology.vertex_areas(vertices, triangles)
+        mass = areas / areas.mean() if weights == "area" else np.ones(len(areas))
+        return _Design(vertices, triangles, topology.vertex_normals(vertices, triangles), areas, mass), notes
+
+
+def _check(template: object, reject: str, margin: float, weights: str, search_vertices: int | None, up: str) -> None:
+    if not isinstance(template, str) or not template:
+        raise UserError("scenario=mesh needs scenario.template=FILE, the surface mesh that is to be deformed")
+    if reject not in REJECTIONS:
+        raise UserError(f"scenario.reject={reject}: choose one of {', '.join(REJECTIONS)}")
+    if weights not in WEIGHTS:
+        raise UserError(f"scenario.weights={weights}: choose one of {', '.join(WEIGHTS)}")
+    if up not in ("x", "y", "z"):
+        raise UserError(f"scenario.up={up}: choose x, y or z, the axis that is up in pictures")
+    if not 0.0 <= margin < 100.0:
+        raise UserError(f"scenario.margin={margin}: a fraction of the diagonal, 0 or larger, is expected")
+    if search_vertices is not None and search_vertices < 100:
+        raise UserError(f"scenario.search_vertices={search_vertices}: at least 100 are needed")
+
+
+def _which(template: Template, both: bool) -> str:
+    if both:
+        return "scenario.target and scenario.sensitivity are both given: give one of them"
+    arrays = ", ".join(sorted(template.arrays)) or "none"
+    return (
+        "scenario=mesh needs one of scenario.target=FILE and scenario.sensitivity=NAME_OR_FILE "
+        f"(point arrays in the template: {arrays})"
+    )
+
+
+def _box(vertices: Points, margin: float) -> tuple[Tensor, Tensor]:
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    around = margin * float(np.linalg.norm(high - low))
+    if around == 0.0 and (high == low).any():
+        raise UserError(
+            "scenario.margin=0: the template is flat, so that its box has no volume; choose a larger margin"
+        )
+    return torch.from_numpy(low - around), torch.from_numpy(high + around)
+
+
+def _paired(design: _Design, target: str, scale: float | None, reject: str) -> tuple[Pairing, dict[str, str]]:
+    """Pairs of the design's vertices with the target, once its units are not in doubt."""
+    points, triangles = read_surface(target)
+    if scale is not None and not (math.isfinite(scale) and scale > 0):
+        raise UserError(f"scenario.target_scale={scale}: a positive number is expected")
+    points = points * (1.0 if scale is None else scale)
+    mine, its = (float(np.linalg.norm(np.ptp(part, axis=0))) for part in (design.vertices, points))
+    if scale is None and not 1.0 / MIXED_UNITS < its / mine < MIXED_UNITS:
+        raise UserError(
+            f"{target}: the target's diagonal is {its:.4g}, the template's {mine:.4g}: are these two units? "
+            f"scenario.target_scale={_nearest_unit(mine / its):g} scales the target, scenario.target_scale=1 leaves it"
+        )
+    points, triangles = placement.merge_coincident(points, triangles)
+    if triangles is not None and len(triangles) == 0:
+        raise UserError(f"{target}: no triangle is left once coincident vertices are merged")
+    found = pair(design.vertices, design.normals, points, triangles, reject)
+    kind = "a cloud" if triangles is None else f"{len(triangles)} triangles"
+    notes = {"target": f"{target}: {len(points)} distinct vertices, {kind}"} | found.notes
+    if found.rejected.all():
+        raise UserError(f"{target}: every pair of template and target is rejected; check their places, or reject=none")
+    apart = np.maximum(
+        points.min(axis=0) - design.vertices.max(axis=0), design.vertices.min(axis=0) - points.max(axis=0)
+    )
+    if apart.max() > mine:
+        notes["apart"] = f"the target lies {apart.max():.3g} away from the template: are they in the same frame?"
+    return found, notes
+
+
+def _nearest_unit(factor: float) -> float:
+    units = (1e-3, 1.0 / 304.8, 1e-2, 1.0 / 39.3700787, 1.0 / 25.4, 25.4, 39.3700787, 100.0, 304.8, 1e3)
+    return min(units, key=lambda unit: abs(math.log(unit / factor)))
+
+
+def _convention(source: str, values: NDArray[np.float64], kind: str, objective: str) -> str:
+    form = "one value a vertex, along its normal" if values.ndim == 1 else "three components a vertex"
+    way = "against" if objective == "minimize" else "along"
+    return f"{source}: {form}, {kind}; the objective is to {objective}, the design wants to move {way} it"
+
+
+def _sampler(vertices: Tensor, faces: Tensor) -> Sampler:
+    """Centers uniform on the surface."""
+    corners = vertices[faces]
+    area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1)
+    cumulative = area.cumsum(0)
+
+    def sample(count: int, m: int, generator: torch.Generator) -> Tensor:
+        """Draw [count, m, 3] centers uniformly on the surface."""
+        draws = torch.rand(3, count, m, generator=generator, dtype=torch.float64)
+        face = torch.searchsorted(cumulative, draws[0] * cumulative[-1]).clamp(max=len(faces) - 1)
+        root = draws[1].sqrt()
+        shares = torch.stack((1.0 - root, root * (1.0 - draws[2]), root * draws[2]), dim=-1)
+        return (shares[..., None] * corners[face]).sum(-2)
+
+    return sample

@@ -1,0 +1,66 @@
+"""The plane that a design stays symmetric about, and how symmetric its mesh and its wanted displacement are."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.mirror import Mirror
+from rbfevo.scenarios.correspondence import Points, Triangles, closest_on_surface
+
+LOOKED_AT = 20_000  # vertices: enough to tell how symmetric a mesh is
+LOPSIDED = 0.01  # of the box's diagonal
+ONE_SIDED = 0.02  # of the vertices on the side that has fewer: half a model
+
+
+def mirror_of(axis: str | None, at: float | None, vertices: Points, lower: Tensor, upper: Tensor) -> Mirror | None:
+    """The plane that `scenario.symmetry` and `scenario.symmetry_at` ask for; `at` null is the middle of the vertices.
+
+    Raises:
+        UserError: for another axis, `at` without an axis, or a plane that does not cross the box.
+    """
+    if axis is None:
+        if at is not None:
+            raise UserError("scenario.symmetry_at needs scenario.symmetry=x, y or z")
+        return None
+    if axis not in ("x", "y", "z"):
+        raise UserError(f"scenario.symmetry={axis}: choose x, y or z, the axis across the plane, or null")
+    number = "xyz".index(axis)
+    middle = float(vertices[:, number].min() + vertices[:, number].max()) / 2.0
+    return Mirror.across(number, middle if at is None else at, lower, upper)
+
+
+def words(
+    mirror: Mirror, vertices: Points, triangles: Triangles, gradient: NDArray[np.float64], weights: NDArray[np.float64]
+) -> tuple[dict[str, str], list[str]]:
+    """Notes, and warnings: how far mirror images lie from the surface, how much of g [n, 3] is not symmetric."""
+    name = f"{'xyz'[mirror.axis]} = {mirror.at:g}"
+    heights = vertices[:, mirror.axis] - mirror.at
+    beyond = np.sort([(heights > mirror.tolerance).sum(), (heights < -mirror.tolerance).sum()])
+    if beyond[0] <= ONE_SIDED * beyond[1]:
+        return {"symmetry": f"about {name}; the template is one half, its other half is not scored"}, []
+    some = np.linspace(0, len(vertices) - 1, min(len(vertices), LOOKED_AT)).astype(np.int64)
+    images = mirror.image(torch.from_numpy(vertices[some])).numpy()
+    closest, _ = closest_on_surface(images, vertices, triangles)
+    distance = float(np.linalg.norm(closest - images, axis=1).max())
+    diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+
+    _, partner = KDTree(vertices).query(images)
+    turned = gradient[partner].copy()
+    turned[:, mirror.axis] *= -1.0
+    odd = (weights[some, None] * ((gradient[some] - turned) / 2.0) ** 2).sum()
+    share = float(odd / max((weights[some, None] * gradient[some] ** 2).sum(), np.finfo(float).tiny))
+    notes = {
+        "symmetry": f"about {name}: mirror images lie within {distance:.3g} of the surface; {share:.1%} of |g|^2 is "
+        "not symmetric, and out of reach"
+    }
+    if distance > LOPSIDED * diagonal:
+        return notes, [
+            f"symmetry about {name}: the template is not symmetric (mirror images lie up to {distance:.3g} from its "
+            "surface); check scenario.symmetry and scenario.symmetry_at"
+        ]
+    return notes, []

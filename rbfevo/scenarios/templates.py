@@ -1,0 +1,131 @@
+"""Read an engineer's template: a surface, and every array that the file stores with its points."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rbfevo.errors import UserError
+from rbfevo.scenarios.contents import Points, Triangles
+from rbfevo.scenarios.surfaces import checked_extent, read_contents
+
+_ROUNDING = 4.0 * np.finfo(np.float64).eps
+
+
+@dataclasses.dataclass(frozen=True)
+class Template:
+    """A surface of n vertices and f triangles, in the file's units and order.
+
+    Attributes:
+        vertices: [n, 3] float64, the file's points that belong to a triangle with an area.
+        triangles: [f, 3] int64 into vertices; each has an area.
+        arrays: numeric point arrays by name, float64, [n] or [n, c].
+        rows: [n] int64, ascending: which of the file's points each vertex is (STL: after merging).
+        count: points in the file (STL: after merging).
+        notes: one line each for what was accepted but is worth a word.
+        cell_arrays: names of the arrays that belong to cells, which are not read.
+    """
+
+    vertices: Points
+    triangles: Triangles
+    arrays: dict[str, Points]
+    rows: NDArray[np.int64]
+    count: int
+    notes: dict[str, str]
+    cell_arrays: tuple[str, ...] = ()
+
+
+def read_template(path: str | Path) -> Template:
+    """Read a surface with faces, in any of the formats of `read_surface` but for clouds.
+
+    Polygons are cut into triangles; triangles without an area, repeated triangles and points that belong to no
+    triangle are left out, and exactly equal vertices of an STL file are merged, each with a note. Vertices that
+    coincide in other formats stay as they are.
+
+    Raises:
+        UserError: if the file is missing, unreadable, of an unknown ending, or holds no usable surface: a cloud, a
+            volume mesh, or faces without area or with coordinates that are not finite.
+    """
+    path = Path(path).expanduser()
+    contents = read_contents(path)
+    points, triangles, notes = contents.points, contents.triangles, dict(contents.notes)
+    if triangles is None:
+        raise UserError(f"{path}: holds {len(points)} points but no faces; a surface with faces is wanted")
+    if path.suffix.lower() == ".stl":
+        notes["merged vertices"] = f"{len(points)} points of the STL file, exactly equal ones merged"
+        points, triangles = _merged(points, triangles)
+        notes["merged vertices"] += f": {len(points)} vertices"
+
+    kept = _with_area(path, points, triangles)
+    if not kept.any():
+        raise UserError(f"{path}: none of its {len(triangles)} triangles has any area")
+    if not kept.all():
+        notes["dropped triangles"] = f"{int((~kept).sum())} of {len(kept)} triangles have no area and are left out"
+        triangles = triangles[kept]
+    kept = _first_of_equal(triangles)
+    if not kept.all():
+        notes["repeated triangles"] = f"{int((~kept).sum())} triangles repeat others and are left out"
+        triangles = triangles[kept]
+
+    used = np.zeros(len(points), bool)
+    used[triangles] = True
+    rows = np.flatnonzero(used)
+    if len(rows) < len(points):
+        notes["unused points"] = f"{len(points) - len(rows)} of {len(points)} points belong to no triangle, left out"
+    vertices = points[rows]
+    coincident = len(vertices) - int(_first_rows(vertices)[0].sum())
+    if coincident:
+        notes["coincident vertices"] = f"{coincident} vertices coincide with others; each counts by itself"
+    renumbered = np.cumsum(used) - 1
+    arrays = {name: values[rows] for name, values in contents.arrays.items()}
+    return Template(vertices, renumbered[triangles], arrays, rows, len(points), notes, contents.cell_arrays)
+
+
+def _with_area(path: Path, points: Points, triangles: Triangles) -> NDArray[np.bool_]:
+    """[f] True where a triangle's height exceeds the rounding of its corners' coordinates."""
+    a, b, c = triangles.T
+    kept = (a != b) & (b != c) & (c != a)
+    used = np.unique(triangles[kept])
+    if used.size == 0:
+        return kept
+    bad = int((~np.isfinite(points[used])).any(axis=1).sum())
+    if bad:
+        raise UserError(
+            f"{path}: {bad} of {len(used)} vertices of its triangles have coordinates that are not finite "
+            "(NaN or infinite)"
+        )
+    scaled = points / checked_extent(path, points[used])  # so that no square is too large or too small
+    sound = np.flatnonzero(kept)
+    corners = scaled[triangles[sound]]
+    edges = np.roll(corners, -1, axis=1) - corners
+    longest = np.sqrt((edges**2).sum(axis=2).max(axis=1))
+    doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    kept[sound] = doubled > _ROUNDING * longest * (longest + np.abs(corners).max(axis=(1, 2)))
+    return kept
+
+
+def _first_of_equal(triangles: Triangles) -> NDArray[np.bool_]:
+    """[f] False where a triangle has the corners of an earlier one, turned the same way."""
+    start = np.argmin(triangles, axis=1)
+    turned = np.take_along_axis(triangles, (start[:, None] + np.arange(3)) % 3, axis=1)
+    return _first_rows(turned)[0]
+
+
+def _first_rows(table: NDArray) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    """[r] True at the first of equal rows [r, 3], and [r] the index of that first one."""
+    order = np.lexsort(table.T[::-1])  # stable: of equal rows the first comes first
+    ordered = table[order]
+    new = np.concatenate([[True], (ordered[1:] != ordered[:-1]).any(axis=1)])
+    first = np.empty(len(table), np.int64)
+    first[order] = order[np.maximum.accumulate(np.where(new, np.arange(len(table)), 0))]
+    return first == np.arange(len(table)), first
+
+
+def _merged(points: Points, triangles: Triangles) -> tuple[Points, Triangles]:
+    """Merge exactly equal points, in the order in which they first appear."""
+    kept, first = _first_rows(points)
+    renumbered = np.cumsum(kept) - 1
+    return points[kept], renumbered[first[triangles]]

@@ -1,0 +1,237 @@
+"""The engineer's mesh: what g is for targets and sensitivities, fixed vertices, symmetry, the box, and bad settings."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista as pv
+import torch
+import trimesh
+
+from rbfevo.errors import UserError
+from rbfevo.scenarios import mesh
+from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scenarios.templates import read_template
+
+BALL = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
+OFFSET = np.array([10.0, -4.0, 3.0])
+X = np.asarray(BALL.vertices, np.float64) + OFFSET
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """ball.vtp with arrays; bigger.ply, a target."""
+    directory = tmp_path_factory.mktemp("meshes")
+    surface = pv.PolyData.from_regular_faces(X, np.asarray(BALL.faces))
+    surface["scalar"] = X[:, 0] - 10.0 + 0.5
+    surface["vector"] = np.stack([X[:, 1], 0 * X[:, 0], X[:, 2]], axis=1)
+    surface["zero"] = np.zeros(len(X))
+    surface["front"] = (X[:, 0] < 8.5).astype(np.float64)
+    surface["even"] = np.stack([X[:, 0] - 10.0, X[:, 1] + 4.0, np.ones(len(X))], axis=1)
+    surface.save(directory / "ball.vtp")
+    BALL.copy().apply_scale(1.5).apply_translation(OFFSET).export(directory / "bigger.ply")
+    return directory
+
+
+READ_ONCE = functools.cache(read_template)
+
+
+@pytest.fixture(autouse=True)
+def read_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Readers have tests of their own, and a VTK file costs a process each time."""
+    monkeypatch.setattr("rbfevo.scenarios.mesh.read_template", READ_ONCE)
+
+
+def build(folder: Path, **settings: object) -> Scenario:
+    return mesh(template=str(folder / "ball.vtp"), **settings)
+
+
+def areas() -> np.ndarray:
+    found = np.zeros(len(X))
+    np.add.at(found, BALL.faces.reshape(-1), np.repeat(BALL.area_faces / 3.0, 3))
+    return found
+
+
+NORMALS = np.asarray(BALL.vertices) / 2.0
+
+
+def expected(wanted: np.ndarray, weights: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(wanted / np.sqrt((weights[:, None] * wanted**2).sum()))
+
+
+def test_a_target_gives_the_displacement_to_its_closest_points(folder: Path) -> None:
+    scenario = build(folder, target=str(folder / "bigger.ply"))
+    wanted = (scenario.gradient * scenario.gradient_norm).numpy()
+    length = np.linalg.norm(wanted, axis=1)
+    assert length.max() < 1.001
+    assert length.min() > 0.95
+    assert ((wanted / length[:, None] * NORMALS).sum(axis=1) > 0.99).all()  # facets
+    assert not scenario.direction_only
+    assert scenario.closest is not None
+    np.testing.assert_allclose(scenario.closest(X[:5]) - X[:5], wanted[:5], atol=1e-9)
+    torch.testing.assert_close(scenario.vertices, torch.from_numpy(X), rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("weights", ["uniform", "area"])
+@pytest.mark.parametrize("kind", ["nodal", "density"])
+@pytest.mark.parametrize("objective", ["minimize", "maximize"])
+@pytest.mark.parametrize("array", ["scalar", "vector"])
+def test_sensitivities_become_steepest_descent_in_the_inner_product(
+    folder: Path, weights: str, kind: str, objective: str, array: str
+) -> None:
+    scenario = build(folder, sensitivity=array, sensitivity_kind=kind, objective=objective, weights=weights)
+    mass = areas() / areas().mean() if weights == "area" else np.ones(len(X))
+    values = (X[:, 0] - 9.5)[:, None] * NORMALS if array == "scalar" else np.stack([X[:, 1], 0 * X[:, 0], X[:, 2]], 1)
+    nodal = values * (areas()[:, None] if kind == "density" else 1.0)
+    sign = 1.0 if objective == "maximize" else -1.0
+    torch.testing.assert_close(
+        scenario.gradient,
+        expected(sign * nodal / mass[:, None], mass),
+        rtol=0,
+        atol=2e-3 if array == "scalar" else 1e-12,
+    )
+    torch.testing.assert_close(scenario.weights, torch.from_numpy(mass), rtol=1e-9, atol=0)
+    assert scenario.direction_only
+    assert float((scenario.weights[:, None] * scenario.gradient.square()).sum()) == pytest.approx(1.0)
+    # The inner product with any displacement is the change of the objective that the solver's values predict.
+    move = np.random.default_rng(0).normal(size=X.shape)
+    predicted = sign * (nodal * move).sum()
+    inner = scenario.gradient_norm * float(
+        (scenario.weights[:, None] * scenario.gradient * torch.from_numpy(move)).sum()
+    )
+    assert inner == pytest.approx(predicted, rel=2e-2 if array == "scalar" else 1e-9)
+
+
+def test_the_same_values_from_a_file(folder: Path, tmp_path: Path) -> None:
+    values = X[:, 0] - 9.5
+    np.save(tmp_path / "s.npy", values)
+    np.savetxt(tmp_path / "s.csv", values)
+    named = build(folder, sensitivity="scalar").gradient
+    for name in ("s.npy", "s.csv"):
+        torch.testing.assert_close(build(folder, sensitivity=str(tmp_path / name)).gradient, named, rtol=0, atol=1e-12)
+
+
+def test_the_box_and_the_support_radius_follow_the_template(folder: Path) -> None:
+    scenario = build(folder, sensitivity="scalar", margin=0.1, support="25%")
+    diagonal = float(np.linalg.norm(np.ptp(X, axis=0)))
+    np.testing.assert_allclose(scenario.lower.numpy(), X.min(axis=0) - 0.1 * diagonal)
+    np.testing.assert_allclose(scenario.upper.numpy(), X.max(axis=0) + 0.1 * diagonal)
+    assert scenario.support == pytest.approx(0.25 * float((scenario.upper - scenario.lower).norm()))
+    assert build(folder, sensitivity="scalar", support=0.7).support == 0.7
+
+
+def test_centers_are_drawn_on_the_surface(folder: Path) -> None:
+    scenario = build(folder, sensitivity="scalar")
+    drawn = scenario.sample(40, 30, torch.Generator().manual_seed(0)).numpy()
+    radius = np.linalg.norm(drawn - OFFSET, axis=-1)
+    assert radius.max() <= 2.0 + 1e-9
+    assert radius.min() > 1.97
+    assert np.abs((drawn - OFFSET).mean(axis=(0, 1))).max() < 0.1
+    again = scenario.sample(40, 30, torch.Generator().manual_seed(0)).numpy()
+    np.testing.assert_array_equal(drawn, again)
+
+
+@pytest.mark.parametrize("fixed", [[None, None, None, 8.5, None, None], [[-99, -99, -99], [8.5, 99, 99]], "front"])
+def test_fixed_vertices_have_no_wish(folder: Path, fixed: object) -> None:
+    scenario = build(folder, sensitivity="vector", fixed=fixed)
+    held = X[:, 0] <= 8.5
+    assert bool((scenario.gradient[torch.from_numpy(held)] == 0).all())
+    assert float(scenario.gradient.square().sum()) == pytest.approx(1.0)
+    assert scenario.stays is not None
+    assert scenario.stays.numpy().tolist() == held.tolist()
+    assert scenario.keep_out is None
+    kept = build(folder, sensitivity="vector", fixed=fixed, keep_out=True)
+    centers = kept.parameterization(kept.sample(20, 10, torch.Generator().manual_seed(1)))
+    if fixed == "front":
+        nearest = ((centers[..., None, :] - kept.vertices) ** 2).sum(-1).argmin(-1)
+        assert not held[nearest.numpy()].any()
+    else:
+        assert float(centers[..., 0].min()) >= 8.5
+
+
+def test_symmetry_knows_what_is_out_of_reach(folder: Path) -> None:
+    scenario = build(folder, sensitivity="even", symmetry="x")
+    assert scenario.mirror is not None
+    assert scenario.mirror.at == pytest.approx(10.0)
+    assert "0.0% of |g|^2 is not symmetric" in scenario.notes["symmetry"]
+    lopsided = build(folder, sensitivity="vector", symmetry="z", symmetry_at=3.0)
+    assert float(lopsided.notes["symmetry"].split("; ")[1].split("%")[0]) > 30.0
+    assert not scenario.warnings
+    away = build(folder, sensitivity="even", symmetry="x", symmetry_at=11.0)
+    assert "not symmetric" in away.warnings[0]
+    half = scenario.half()
+    assert bool((half.vertices[:, 0] >= 10.0 - 1e-9).all())
+    assert float(scenario.search_box[0][0]) == pytest.approx(10.0)
+    assert float(scenario.lower[0]) < 8.0
+
+
+def test_half_a_model_is_understood(tmp_path: Path) -> None:
+    half = pv.wrap(BALL).clip("y", origin=(0.0, 0.0, 0.0))
+    half.save(tmp_path / "half.vtp")
+    np.save(tmp_path / "s.npy", np.ones(half.n_points))
+    scenario = mesh(
+        template=str(tmp_path / "half.vtp"), sensitivity=str(tmp_path / "s.npy"), symmetry="y", symmetry_at=0.0
+    )
+    assert "one half" in scenario.notes["symmetry"]
+    assert scenario.side == -1.0
+    assert len(scenario.half().vertices) == half.n_points
+
+
+MISTAKES: list[tuple[dict[str, object], str]] = [
+    (
+        {},
+        "needs one of scenario.target=FILE and scenario.sensitivity=NAME_OR_FILE (point arrays in the template: even,",
+    ),
+    ({"target": "bigger.ply", "sensitivity": "scalar"}, "both given"),
+    ({"sensitivity": "zero"}, "zero at every vertex"),
+    ({"sensitivity": "scaler"}, "scalar"),
+    ({"sensitivity": "scalar", "sensitivity_kind": "cell"}, "nodal, density"),
+    ({"sensitivity": "scalar", "objective": "both"}, "minimize, maximize"),
+    ({"sensitivity": "scalar", "weights": "mass"}, "uniform, area"),
+    ({"sensitivity": "scalar", "margin": -0.1}, "scenario.margin=-0.1"),
+    ({"sensitivity": "scalar", "margin": float("nan")}, "scenario.margin=nan"),
+    ({"sensitivity": "scalar", "reject": "some"}, "boundary, none"),
+    ({"sensitivity": "scalar", "support": "0%"}, "scenario.support=0%"),
+    ({"sensitivity": "scalar", "up": "w"}, "scenario.up=w"),
+    ({"sensitivity": "scalar", "search_vertices": 3}, "at least 100"),
+    ({"sensitivity": "scalar", "symmetry": "w"}, "choose x, y or z"),
+    ({"sensitivity": "scalar", "symmetry": "x", "symmetry_at": 99.0}, "does not cross the box"),
+    ({"sensitivity": "scalar", "symmetry_at": 1.0}, "needs scenario.symmetry"),
+    ({"sensitivity": "scalar", "keep_out": True}, "needs scenario.fixed"),
+    ({"sensitivity": "scalar", "fixed": "nope"}, "scenario.fixed=nope"),
+    ({"sensitivity": "scalar", "fixed": "zero"}, "marks no vertex"),
+    ({"sensitivity": "scalar", "fixed": [0, 0, 0]}, "a box is six numbers"),
+    ({"sensitivity": "scalar", "fixed": [1, 0, 0, 0, 1, 1]}, "lies above"),
+    ({"sensitivity": "scalar", "fixed": [0, 0, 0, 1, 1, 1]}, "marks no vertex (the template spans 8 to 12"),
+    ({"sensitivity": "scalar", "fixed": [None] * 6}, "marks every vertex"),
+    ({"target": "bigger.ply", "target_scale": -1.0}, "scenario.target_scale=-1.0"),
+    ({"target": "ball.vtp", "reject": "none"}, "no vertex is left that wants to move"),
+]
+
+
+@pytest.mark.parametrize(("settings", "said"), MISTAKES, ids=[said for _, said in MISTAKES])
+def test_mistakes_are_said_in_one_line(
+    folder: Path, settings: dict[str, object], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    with pytest.raises(UserError) as caught:
+        mesh(template=str(folder / "ball.vtp"), **settings)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_mixed_units_are_asked_about(folder: Path, tmp_path: Path) -> None:
+    BALL.copy().apply_scale(1.5).apply_translation(OFFSET).apply_scale(1000.0).export(tmp_path / "mm.stl")
+    with pytest.raises(UserError, match=r"are these two units.*scenario\.target_scale=0\.001"):
+        build(folder, target=str(tmp_path / "mm.stl"))
+    scaled = build(folder, target=str(tmp_path / "mm.stl"), target_scale=0.001)
+    plain = build(folder, target=str(folder / "bigger.ply"))
+    torch.testing.assert_close(scaled.gradient, plain.gradient, rtol=0, atol=1e-2)  # STL is float32
+
+
+def test_no_template() -> None:
+    with pytest.raises(UserError, match=r"needs scenario\.template=FILE"):
+        mesh(sensitivity="a")
