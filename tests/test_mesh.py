@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,7 @@ READ_ONCE = functools.cache(read_template)
 @pytest.fixture(autouse=True)
 def read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Readers have tests of their own, and a VTK file costs a process each time."""
-    monkeypatch.setattr("rbfevo.scenarios.mesh.read_template", READ_ONCE)
+    monkeypatch.setattr(sys.modules["rbfevo.scenarios.mesh"], "read_template", READ_ONCE)
 
 
 def build(folder: Path, **settings: object) -> Scenario:

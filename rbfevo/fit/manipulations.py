@@ -54,6 +54,8 @@ def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulatio
         raise UserError(
             f"manipulation={manipulation}: there is no such manipulation; choose one of {', '.join(MANIPULATIONS)}"
         )
+    if scenario.mirror is not None:
+        raise UserError("a fit moves centers one by one, which would break the symmetry of this run's setups")
     n, d = scenario.vertices.shape
     if centers.ndim != 2 or centers.shape[1] != d or not 1 <= len(centers) <= n:
         raise UserError(f"a setup must be [m, {d}] with 1 <= m <= {n}, not {list(centers.shape)}")

@@ -20,6 +20,9 @@ from rbfevo.scenarios.scenario import Scenario
 SAME = 1e-9  # how far vertices and gradient may be from those of the files, which another machine may have rounded
 
 
+FILES = ("scan", "template", "target", "sensitivity", "fixed")  # keys of a scenario that may name a file
+
+
 class Source(NamedTuple):
     """What a run scored its setups on: the scenario, the kernel, and how the design is manipulated."""
 
@@ -31,23 +34,22 @@ class Source(NamedTuple):
 def rebuild(run: Path, record: Record) -> Source:
     """Build the scenario and kernel of a run again, and see that they are those of its files.
 
-    A relative path of a scan is looked for here, and then in the directory that the run was started from.
+    A relative path of a file is looked for here, and then in the directory that the run was started from.
 
     Raises:
         UserError: if the configuration is missing or wrong, or the scenario is another one by now.
     """
     config = _load(run / ".hydra" / "config.yaml")
-    scan = OmegaConf.select(config, "scenario.scan")
-    if isinstance(scan, str) and not Path(scan).expanduser().exists() and (run / ".hydra" / "hydra.yaml").exists():
-        before = OmegaConf.select(_load(run / ".hydra" / "hydra.yaml"), "hydra.runtime.cwd")
-        if before and (Path(before) / scan).exists():
-            config.scenario.scan = str(Path(before) / scan)
+    for name in FILES:
+        path = OmegaConf.select(config, f"scenario.{name}")
+        if isinstance(path, str) and not Path(path).expanduser().exists() and (run / ".hydra" / "hydra.yaml").exists():
+            before = OmegaConf.select(_load(run / ".hydra" / "hydra.yaml"), "hydra.runtime.cwd")
+            if before and (Path(before) / path).exists():
+                config.scenario[name] = str(Path(before) / path)
     try:
         settings = check(config)
         scenario = build(settings.scenario)
-        kernel: Kernel = build(
-            settings.kernel, scenario.vertices.shape[1], scenario.support, scenario.diagonal
-        )
+        kernel: Kernel = build(settings.kernel, scenario.vertices.shape[1], scenario.support, scenario.diagonal)
     except (OmegaConfBaseException, HydraException) as error:
         reason = " ".join(str(error).split())
         raise UserError(f"{run / '.hydra' / 'config.yaml'} is not the configuration of a run: {reason}") from None

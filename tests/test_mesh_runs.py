@@ -1,0 +1,166 @@
+"""Whole runs on a mesh of one's own: every method, symmetry, regions, few vertices to search on, and what is said."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.distance import cdist
+
+from rbfevo.__main__ import main
+
+SUPPORT = 1.5
+METHODS = {
+    "nsga2": ["method.generations=3", "method.population=8"],
+    "cmaes": ["method.generations=3", "method.population=8", "method.parents=3", "preference=[0.2,0.8]"],
+    "gradient": [
+        "method.generations=8",
+        "method.polish=2",
+        "method.starts=16",
+        "method.population=16",
+        "method.front=5",
+    ],
+    "lloyd": [],
+    "ols": ["method.per_axis=6"],
+    "random": ["method.population=4"],
+}
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An egg, and a symmetric sensitivity in a file: three values a vertex."""
+    directory = tmp_path_factory.mktemp("egg")
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    ball.apply_transform(np.diag([2.0, 1.0, 0.8, 1.0]))
+    x = np.asarray(ball.vertices)
+    x[np.abs(x[:, 1]) < 1e-12, 1] = 0.0
+    trimesh.Trimesh(x, ball.faces, process=False).export(directory / "egg.ply")
+    x = np.asarray(trimesh.load(directory / "egg.ply", process=False).vertices)
+    np.save(directory / "s.npy", np.stack([np.exp(-((x[:, 0] + 1.5) ** 2)), x[:, 1], x[:, 2] ** 2], axis=1))
+    return directory / "egg.ply"
+
+
+@pytest.fixture(autouse=True)
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rbfevo.figures.draw", lambda run: [])
+
+
+def run(out: Path, template: Path, *words: str) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, Any]]:
+    fixed = [f"scenario.template={template}", f"scenario.sensitivity={template.parent / 's.npy'}", "evaluator=eager"]
+    assert main([f"hydra.run.dir={out}", "scenario=mesh", *fixed, "quiet=true", "centers=5", *words]) == 0
+    with np.load(out / "setups.npz") as setups, np.load(out / "scenario.npz") as files:
+        summary = json.loads((out / "summary.json").read_text())
+        return dict(setups), dict(files), summary
+
+
+def plain_scores(files: dict[str, np.ndarray], setup: np.ndarray, kernel: str, direct: bool) -> tuple[float, float]:
+    """R and P of a symmetric setup, from the run's own files and plain NumPy."""
+    X, g, roots = files["vertices"], files["gradient"], np.sqrt(files["weights"])[:, None]
+
+    def phi(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        r = cdist(a, b)
+        return (
+            r**3
+            if kernel == "triharmonic"
+            else np.where(r < SUPPORT, (1 - r / SUPPORT) ** 4 * (4 * r / SUPPORT + 1), 0)
+        )
+
+    sigmas, rest = [], 0.0
+    for sign, components, C in ((1, [0, 2], setup), (-1, [1], setup[setup[:, 1] != 0])):
+        image = C * (1, -1, 1)
+        Phi = roots * (phi(X, C) + sign * phi(X, image))
+        u, sigma, _ = np.linalg.svd(Phi, full_matrices=False)
+        u = u[:, sigma > max(Phi.shape) * np.finfo(float).eps * sigma[0]]
+        wanted = roots * g[:, components]
+        rest += float(((wanted - u @ (u.T @ wanted)) ** 2).sum())
+        if u.shape[1] < len(C):
+            return 0.0, 1 - rest
+        if direct:
+            Phi = np.linalg.solve(phi(C, C) + sign * phi(image, C), Phi.T).T
+        sigmas.append(np.linalg.svd(Phi, compute_uv=False))
+    every = np.concatenate(sigmas)
+    return every.min() / every.max(), 1 - rest
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("kernel", "manipulation"), [("wendland", "indirect"), ("wendland", "direct"), ("triharmonic", "direct")]
+)
+def test_saved_scores_of_symmetric_setups_are_those_of_a_plain_svd(
+    method: str, kernel: str, manipulation: str, template: Path, tmp_path: Path
+) -> None:
+    words = [f"kernel={kernel}", f"manipulation={manipulation}", f"method={method}", *METHODS[method]]
+    words += ["scenario.symmetry=y", "scenario.symmetry_at=0", "scenario.weights=area"]
+    words += [f"kernel.support={SUPPORT}"] if kernel == "wendland" else []
+    setups, files, summary = run(tmp_path, template, *words)
+    assert summary["symmetry"] == {"axis": "y", "at": 0.0}
+    assert summary["gradient_is"] == "direction"
+    C = setups["centers"]
+    assert (C[..., 1] >= 0).all()
+    assert (C[:, -1, 1] == 0).all()
+    for i, setup in enumerate(C):
+        regularity, potential = plain_scores(files, setup, kernel, manipulation == "direct")
+        assert abs(regularity - setups["regularity"][i]) <= 1e-6 * regularity + 1e-12
+        assert abs(potential - setups["improvement_potential"][i]) <= 1e-8
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_centers_stay_out_of_the_fixed_region(method: str, template: Path, tmp_path: Path) -> None:
+    words = [f"method={method}", *METHODS[method], f"kernel.support={SUPPORT}"]
+    words += ["scenario.fixed=[-99,-99,-99,-0.5,99,99]", "scenario.keep_out=true"]
+    setups, files, _ = run(tmp_path, template, *words)
+    assert setups["centers"][..., 0].min() >= -0.5
+    assert (files["gradient"][files["vertices"][:, 0] <= -0.5] == 0).all()
+
+
+def test_a_search_on_few_vertices_is_scored_on_all(template: Path, tmp_path: Path) -> None:
+    words = ["method=gradient", *METHODS["gradient"], "kernel.support=1.5"]
+    few, files, said = run(tmp_path / "few", template, *words, "scenario.search_vertices=200")
+    assert said["vertices"] == 642
+    assert 150 <= said["search_vertices"] <= 200
+    gaps = said["search_differences"]
+    assert 0 < gaps["improvement_potential_median"] <= gaps["improvement_potential_largest"] < 0.05
+    assert 0 < gaps["regularity_median"] <= gaps["regularity_largest"] < 0.2
+    assert len(files["vertices"]) == 642
+    _, _, all_of_it = run(tmp_path / "all", template, *words)
+    assert all_of_it["search_vertices"] == 642
+    assert all_of_it["search_differences"] is None
+    assert few["regularity"].max() > 0
+
+
+def test_radii_that_do_not_fit_are_warned_about(template: Path, tmp_path: Path) -> None:
+    _, _, said = run(tmp_path, template, "method=random", "method.population=5", "kernel.support=0.02")
+    assert "below the vertex spacing" in said["warnings"][0]
+    assert "5 of 5 setups have centers (up to " in said["warnings"][1]
+
+
+def test_a_percentage_is_of_the_boxs_diagonal(template: Path, tmp_path: Path) -> None:
+    _, files, said = run(tmp_path, template, "method=lloyd", "kernel.support=30%")
+    assert said["support"] == pytest.approx(0.3 * np.linalg.norm(files["upper"] - files["lower"]))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["scenario.template=nowhere.stl"], "nowhere.stl: no such file"),
+        (["scenario.symmetry=w"], "choose x, y or z"),
+        (["scenario.margin=wide"], "scenario.margin=wide: a number is expected"),
+        (["scenario.templat=a"], "did you mean scenario.template?"),
+        (["scenario.fixed=[0,0]"], "a box is six numbers"),
+        (["scenario.search_vertices=1"], "at least 100"),
+        (["scenario.sensitivity=nothing"], "scenario.sensitivity=nothing"),
+    ],
+)
+def test_mistakes(
+    words: list[str], said: str, template: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fixed = [f"scenario.template={template}", f"scenario.sensitivity={template.parent / 's.npy'}"]
+    assert main([f"hydra.run.dir={tmp_path / 'run'}", "scenario=mesh", *fixed, *words]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert said in lines[0]
+    assert not (tmp_path / "run" / "setups.npz").exists()
