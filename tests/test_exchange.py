@@ -356,6 +356,16 @@ def test_a_mesh_that_meshio_would_lose_or_cannot_read_is_one_line(tmp_path: Path
         assert "\n" not in str(error.value)
 
 
+def test_meshio_that_reads_for_ever_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = "import sys, time; sys.stdout.flush(); time.sleep(600)"
+    (tmp_path / "program.py").write_text(program)
+    monkeypatch.setattr("rbfevo.exchange.program.__file__", str(tmp_path / "program.py"))
+    monkeypatch.setattr("rbfevo.exchange.foreign.PATIENCE", 0.5)
+    (tmp_path / "a.msh").write_bytes(b"anything")
+    with pytest.raises(UserError, match=r"meshio comes to no end with it in \d+ s: damaged"):
+        deform(tmp_path / "a.msh", tmp_path / "b.msh")
+
+
 # --- conversions -----------------------------------------------------------------------------------------------------
 
 
@@ -457,17 +467,18 @@ def test_whatever_bytes_come_in(ending: str, damage: Any, tmp_path_factory: pyte
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", [".vtu", ".vtk", ".vtp", ".msh", ".inp", ".bdf"])
-def test_whatever_bytes_come_in_through_a_process(ending: str, tmp_path: Path) -> None:
+def test_whatever_bytes_come_in_through_a_process(ending: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rbfevo.exchange.foreign.PATIENCE", 10.0)
     source = tmp_path / f"whole{ending}"
     if ending == ".vtp":
         pyvista.PolyData(CUBE, faces=[3, 0, 1, 3]).save(source)
     elif ending in (".vtu", ".vtk"):
         tetrahedra().save(source, binary=False)
     else:
-        meshio.write(source, volume(ending))
+        meshio.write(source, volume(ending), *(["gmsh22"] if ending == ".msh" else []))
     content, rng = source.read_bytes(), np.random.default_rng(0)
     source.unlink()
-    for _ in range(40):
+    for _ in range(25):
         cut = int(rng.integers(len(content))) if rng.random() < 0.5 else len(content)
         patch = rng.bytes(int(rng.integers(1, 6)))
         survives(ending, damaged(content, cut, int(rng.integers(len(content))), patch), tmp_path)

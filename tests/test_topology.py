@@ -106,7 +106,7 @@ def test_seams_and_touches_are_no_crossings():
 
 def test_crossings_of_a_large_mesh_are_not_looked_for(monkeypatch):
     monkeypatch.setattr(topology, "MOST_TRIANGLES", len(BALL.faces) - 1)
-    assert topology.words(*ball())["crossings"].startswith("not looked for")
+    assert topology.words(*ball())["crossings"].startswith("whether it passes through itself was not looked for")
 
 
 def consistent(triangles: np.ndarray) -> bool:
@@ -180,3 +180,16 @@ def test_areas_add_up():
     assert areas.shape == (len(vertices),)
     assert areas.sum() == pytest.approx(BALL.area, rel=1e-12)
     np.testing.assert_allclose(topology.vertex_areas(FAN[:3], np.array([[0, 1, 2]])), 0.5 / 3.0)
+
+
+def test_the_wall_of_a_cavity_points_into_it() -> None:
+    """A hollow ball is closed and right as it is; turned inside out as a whole, only its outer wall is turned."""
+    outer, inner = trimesh.creation.icosphere(2), trimesh.creation.icosphere(1, radius=0.4)
+    n = len(outer.vertices)
+    vertices = np.concatenate([outer.vertices, inner.vertices])
+    triangles = np.concatenate([outer.faces, inner.faces[:, ::-1] + n])
+    assert set(topology.words(vertices, triangles)) == {"pieces"}
+    assert topology.oriented(vertices, triangles)[1] == 0
+    solid = np.concatenate([outer.faces[:, ::-1], inner.faces + n])
+    assert "1 of 2 closed pieces" in topology.words(vertices, solid)["inside out"]
+    assert topology.oriented(vertices, solid)[1] == len(outer.faces)

@@ -1,4 +1,4 @@
-"""A car-like body with an objective of its own: `python docs/car/body.py car.vtp` makes it, `car.vtp --drag` measures it.
+"""A car-like body with an objective of its own: `python docs/car/body.py car.vtp` makes it, with `--drag` measures it.
 
 The body is the zero level of a smooth union of rounded boxes with wheel arches cut out (metres, nose towards -x, up z).
 Its drag is that of Newton's impact theory, which knows nothing but the surface: a face of area A whose outward normal n
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyvista as pv
@@ -26,12 +27,13 @@ def body(spacing: float = 0.04) -> pv.PolyData:
     x, z = np.arange(-2.513, 2.5, spacing), np.arange(-0.217, 1.7, spacing)  # no grid plane on a side of the body
     grid = pv.RectilinearGrid(x, np.arange(0.0, 1.2, spacing), z)
     grid["level"] = level(np.asarray(grid.points))
-    half = grid.contour([0.0], scalars="level").clean(tolerance=0.05 * spacing, absolute=True)
+    contour: Any = grid.contour([0.0], scalars="level")
+    half: Any = contour.clean(tolerance=0.05 * spacing, absolute=True)
     points, triangles = np.asarray(half.points, np.float64), np.asarray(half.regular_faces)
     points[np.abs(points[:, 1]) < 0.05 * spacing, 1] = 0.0
     both = np.concatenate([points, points * (1.0, -1.0, 1.0)])
     joined = np.concatenate([triangles[:, ::-1], triangles + len(points)])  # normals outwards
-    whole = pv.PolyData.from_regular_faces(both, joined).clean(tolerance=1e-9, absolute=True)
+    whole: Any = pv.PolyData.from_regular_faces(both, joined).clean(tolerance=1e-9, absolute=True)
     whole.clear_data()
     return whole.smooth_taubin(n_iter=40, pass_band=0.05)
 
@@ -77,7 +79,7 @@ def drag(vertices: torch.Tensor, triangles: torch.Tensor) -> torch.Tensor:
     return (2.0 * area * cosine**3).sum()
 
 
-def of_surface(surface: pv.PolyData) -> tuple[torch.Tensor, torch.Tensor]:
+def of_surface(surface: Any) -> tuple[torch.Tensor, torch.Tensor]:
     """Vertices and triangles of a surface."""
     return (
         torch.from_numpy(np.asarray(surface.points, np.float64)),
@@ -99,9 +101,9 @@ def main() -> None:
     vertices, triangles = of_surface(surface)
     vertices.requires_grad_()
     value = drag(vertices, triangles)
-    value.backward()
+    (gradient,) = torch.autograd.grad(value, vertices)
     surface.clear_data()
-    surface["drag_sensitivity"] = vertices.grad.numpy()
+    surface["drag_sensitivity"] = gradient.numpy()
     near = [np.hypot(surface.points[:, 0] - x, surface.points[:, 2] - z) < 1.15 * RADIUS for x, z in WHEELS]
     surface["wheels"] = (np.any(near, axis=0) & (np.abs(surface.points[:, 1]) > 0.5)).astype(np.float64)
     options.file.parent.mkdir(parents=True, exist_ok=True)

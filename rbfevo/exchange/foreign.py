@@ -6,6 +6,7 @@ import contextlib
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from rbfevo.exchange import program
 from rbfevo.exchange.mesh import FormatError, Mesh
 from rbfevo.record import Array
 
+PATIENCE, SPEED = 30.0, 2e5  # seconds, and bytes a second: meshio reads some damaged files for ever
 SOLVER = "written anew by meshio, which keeps points, cells and the arrays and sets that it knows, and nothing else"
 
 
@@ -27,12 +29,13 @@ def foreign(kind: str, path: Path) -> Iterator[Mesh]:
     Raises:
         FormatError: if it cannot be read; UserError by `write` if it cannot be written.
     """
+    patience = PATIENCE + path.stat().st_size / SPEED
     command = [sys.executable, "-P", program.__file__, kind, str(path)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL) as process:
         try:
             try:
-                found = _reply(process, {"vtk": "VTK", "meshio": "meshio"}[kind])
+                found = _reply(process, kind, patience)
             except ValueError as error:
                 raise FormatError(str(error)) from None
             points = found["points"].astype(np.float64)
@@ -42,30 +45,44 @@ def foreign(kind: str, path: Path) -> Iterator[Mesh]:
             triangles, tetrahedra = (found[name] if len(found[name]) else None for name in ("triangles", "tetrahedra"))
 
             def write(moved: Array, displacement: Array, out: Path) -> list[str]:
-                return _write(process, {"moved": moved, "displacement": displacement}, out, kind)
+                return _write(process, {"moved": moved, "displacement": displacement}, out, kind, 2 * patience)
 
             yield Mesh(full, triangles, tetrahedra, width, [SOLVER] if kind == "meshio" else [], write)
         finally:
             process.kill()
 
 
-def _reply(process: subprocess.Popen[bytes], name: str) -> dict[str, Any]:
+def _reply(process: subprocess.Popen[bytes], kind: str, patience: float) -> dict[str, Any]:
     assert process.stdout is not None
+    name, late = {"vtk": "VTK", "meshio": "meshio"}[kind], threading.Event()
+
+    def stop() -> None:
+        late.set()
+        process.kill()
+
+    clock = threading.Timer(patience, stop)
+    clock.start()
     try:
         reply = program.receive(process.stdout)
     except EOFError:
-        raise ValueError(f"{name} dies of it: damaged, or too large for the memory") from None
+        end = f"comes to no end with it in {patience:.0f} s: damaged"
+        said = end if late.is_set() else "dies of it: damaged, or too large"
+        raise ValueError(f"{name} {said}") from None
+    finally:
+        clock.cancel()
     if "problem" in reply:
         raise ValueError(str(reply["problem"]))
     return reply
 
 
-def _write(process: subprocess.Popen[bytes], arrays: dict[str, Any], out: Path, name: str) -> list[str]:
+def _write(
+    process: subprocess.Popen[bytes], arrays: dict[str, Any], out: Path, kind: str, patience: float
+) -> list[str]:
     assert process.stdin is not None
     with _beside(out) as place:
         try:
             program.send(process.stdin, {**arrays, "out": str(place)})
-            notes = _reply(process, name)["notes"]
+            notes = _reply(process, kind, patience)["notes"]
         except (ValueError, OSError) as error:
             raise UserError(f"{out} cannot be written: {error}") from None
     return [str(note) for note in notes]

@@ -256,6 +256,9 @@ class MeshioFile:
         import meshio
 
         formats = meshio.extension_to_filetypes.get(path.suffix.lower(), [])
+        if path.suffix.lower() == ".msh":
+            with path.open("rb") as file:
+                formats = ["gmsh" if b"$MeshFormat" in file.read(4096) else "ansys"]
         if not formats:
             raise ValueError(f"unknown ending '{path.suffix}'")
         self._source = path

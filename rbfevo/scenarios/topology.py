@@ -13,6 +13,7 @@ from rbfevo.scenarios.contents import Points, Triangles
 from rbfevo.scenarios.crossings import piercing_edges
 
 MOST_TRIANGLES = 200_000  # looked at for crossings
+_SHELLS = 100  # closed pieces, the largest, that others may lie within
 
 
 def words(vertices: Points, triangles: Triangles) -> dict[str, str]:
@@ -39,12 +40,16 @@ def words(vertices: Points, triangles: Triangles) -> dict[str, str]:
 
     closed = np.ones(count, bool)
     closed[piece[edges.ends[(edges.uses != 2) | clashing, 0]]] = False
-    inward = closed & (_volumes(vertices, triangles, piece[triangles[:, 0]], count) < 0.0)
+    of_triangle = piece[triangles[:, 0]]
+    inward = closed & (_volumes(vertices, triangles, of_triangle, count) < 0.0)
+    inward &= ~_nested(vertices, triangles, of_triangle, closed)
     if inward.any():
         said["inside out"] = f"{int(inward.sum())} of {int(closed.sum())} closed pieces have their normals inside"
 
     if len(triangles) > MOST_TRIANGLES:
-        said["crossings"] = f"not looked for: more than {MOST_TRIANGLES} triangles"
+        said["crossings"] = (
+            f"whether it passes through itself was not looked for (more than {MOST_TRIANGLES:,} triangles)"
+        )
     elif pierced := len(piercing_edges(vertices, triangles, edges.ends)):
         said["crossings"] = f"the surface passes through itself: {pierced} edges pierce a triangle"
     return said
@@ -54,7 +59,8 @@ def oriented(vertices: Points, triangles: Triangles) -> tuple[Triangles, int]:
     """Wind triangles [f, 3] as their neighbours are; return them and how many were turned.
 
     Neighbours are the two triangles at an edge that has no third. Of a closed piece the normals point outward, of an
-    open one as those of most of its triangles do. A one-sided piece keeps edges where the winding clashes.
+    open one, and of one within another, which may be the wall of a cavity, as those of most of its triangles do. A
+    one-sided piece keeps edges where the winding clashes.
     """
     edges, f = _edges(len(vertices), triangles), len(triangles)
     pairs, same = edges.neighbours()
@@ -82,6 +88,7 @@ def oriented(vertices: Points, triangles: Triangles) -> tuple[Triangles, int]:
     wound = np.where(turned[:, None], triangles[:, ::-1], triangles)
     lonely = np.zeros(count, bool)
     lonely[piece[edges.triangle[edges.uses[edges.index] != 2]]] = True
+    lonely |= _nested(vertices, triangles, piece, ~lonely)
     sizes, turns = np.bincount(piece, minlength=count), np.bincount(piece, turned, minlength=count)
     inward = _volumes(vertices, wound, piece, count) < 0.0
     reverse = np.where(lonely, 2 * turns > sizes, inward)[piece]
@@ -148,6 +155,22 @@ def _volumes(vertices: Points, triangles: Triangles, piece: NDArray[np.int64], c
     a, b, c = np.moveaxis(((vertices - middle) / extent)[triangles], 1, 0)
     volumes = np.einsum("ij,ij->i", a, np.cross(b, c)) / 6.0
     return np.bincount(piece, volumes, minlength=count).astype(np.float64)
+
+
+def _nested(
+    vertices: Points, triangles: Triangles, piece: NDArray[np.int64], closed: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Which pieces [p] have a bounding box within that of another, closed piece; `piece` [f] is each triangle's."""
+    low, high = np.full((len(closed), 3), np.inf), np.full((len(closed), 3), -np.inf)
+    for corner in triangles.T:
+        np.minimum.at(low, piece, vertices[corner])
+        np.maximum.at(high, piece, vertices[corner])
+    nested = np.zeros(len(closed), bool)
+    largest = np.flatnonzero(closed)
+    largest = largest[np.argsort(-(high - low)[largest].prod(axis=1), kind="stable")][:_SHELLS]
+    for shell in largest:
+        nested |= ((low > low[shell]) & (high < high[shell])).all(axis=1)
+    return nested
 
 
 def _doubled_areas(vertices: Points, triangles: Triangles) -> Points:
