@@ -40,7 +40,7 @@ def mesh(
     weights: str = "uniform",
     symmetry: str | None = None,
     symmetry_at: float | None = None,
-    support: Any = "30%",
+    support: Any = "15%",
     search_vertices: int | None = None,
     up: str = "z",
 ) -> Scenario:
