@@ -1,0 +1,61 @@
+"""The guides: their commands run, on a coarser body and a shorter search; their tables are those on disk."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista as pv
+
+from benchmarks import choosing
+
+ROOT = Path(__file__).parents[1]
+SHORT = {
+    "rbfevo": ["method.starts=16", "method.population=16", "method.generations=10", "method.polish=3", "method.front=8",
+               "figures=false"],
+    "docs/car/body.py": ["--spacing", "0.12"],
+}  # fmt: skip
+
+
+def commands() -> list[list[str]]:
+    text = (ROOT / "docs" / "car.md").read_text()
+    (block,) = re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+    return [shlex.split(line) for line in block.replace("\\\n", " ").strip().splitlines()]
+
+
+def test_the_five_commands_lower_the_drag(tmp_path: Path) -> None:
+    lines = commands()
+    assert len(lines) == 5
+    said = []
+    for words in lines:
+        program = words[2] if words[1] == "-m" else words[1]
+        more = SHORT.get(program, []) if "--drag" not in words else []
+        words = [str(ROOT / word) if word == "docs/car/body.py" else word for word in [*words[1:], *more]]
+        done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        said.append(done.stdout)
+    before, after = (float(re.findall(r"J = ([\d.]+)", text)[0]) for text in (said[0], said[-1]))
+    assert after < 0.95 * before
+    template, deformed = (pv.read(tmp_path / "outputs" / "car" / f"{name}.vtp") for name in ("car", "deformed"))
+    moved = np.linalg.norm(np.asarray(deformed.points) - np.asarray(template.points), axis=1)
+    diagonal = np.linalg.norm(np.ptp(np.asarray(template.points), axis=0))
+    assert moved.max() == pytest.approx(0.02 * diagonal, rel=1e-3)
+    assert "drag_sensitivity" in deformed.point_data
+    flipped = np.asarray(deformed.points) * (1, -1, 1)  # still symmetric
+    nearest = np.linalg.norm(np.asarray(deformed.points)[:, None] - flipped[None, ::50], axis=2).min(axis=0)
+    assert nearest.max() < 1e-6
+
+
+def test_the_tables_of_the_page_are_those_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = tmp_path / "choosing.md"
+    page.write_text((ROOT / "docs" / "choosing.md").read_text())
+    monkeypatch.setattr(choosing, "PAGE", page)
+    monkeypatch.setattr(sys, "argv", ["choosing", "--page"])
+    assert choosing.main() == 0
+    assert page.read_text() == (ROOT / "docs" / "choosing.md").read_text()
+    assert "| wendland 15% | direct |" in page.read_text()
