@@ -139,6 +139,7 @@ def descend(template: Path, record: Record, row: int, steps: int = 30) -> dict[s
     from scipy.optimize import minimize
 
     from rbfevo.columns import setup
+
     car, chosen = body(), setup(record, row)
     surface: Any = pv.read(template)
     vertices, triangles = car.of_surface(surface)

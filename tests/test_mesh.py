@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -46,7 +47,7 @@ def read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.modules["rbfevo.scenarios.mesh"], "read_template", READ_ONCE)
 
 
-def build(folder: Path, **settings: object) -> Scenario:
+def build(folder: Path, **settings: Any) -> Scenario:
     return mesh(template=str(folder / "ball.vtp"), **settings)
 
 
@@ -181,7 +182,7 @@ def test_half_a_model_is_understood(tmp_path: Path) -> None:
     assert len(scenario.half().vertices) == half.n_points
 
 
-MISTAKES: list[tuple[dict[str, object], str]] = [
+MISTAKES: list[tuple[dict[str, Any], str]] = [
     (
         {},
         "needs one of scenario.target=FILE and scenario.sensitivity=NAME_OR_FILE (point arrays in the template: even,",
@@ -215,7 +216,7 @@ MISTAKES: list[tuple[dict[str, object], str]] = [
 
 @pytest.mark.parametrize(("settings", "said"), MISTAKES, ids=[said for _, said in MISTAKES])
 def test_mistakes_are_said_in_one_line(
-    folder: Path, settings: dict[str, object], said: str, monkeypatch: pytest.MonkeyPatch
+    folder: Path, settings: dict[str, Any], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
     with pytest.raises(UserError) as caught:

@@ -39,7 +39,8 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     x = np.asarray(ball.vertices)
     x[np.abs(x[:, 1]) < 1e-12, 1] = 0.0
     trimesh.Trimesh(x, ball.faces, process=False).export(directory / "egg.ply")
-    x = np.asarray(trimesh.load(directory / "egg.ply", process=False).vertices)
+    egg: Any = trimesh.load(directory / "egg.ply", process=False)
+    x = np.asarray(egg.vertices)
     np.save(directory / "s.npy", np.stack([np.exp(-((x[:, 0] + 1.5) ** 2)), x[:, 1], x[:, 2] ** 2], axis=1))
     return directory / "egg.ply"
 

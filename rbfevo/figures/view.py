@@ -51,7 +51,7 @@ def view_of(points: Array, margin: float, front: Array = FRONT, upward: Array = 
 
 
 def standpoint(record: Record) -> tuple[Array, Array]:
-    """Where the camera stands, and what is up [3]: before a face; on a mesh where most of its wanted displacement shows.
+    """Where the camera stands, and what is up [3]: before a face, or where most of what a mesh wants to do shows.
 
     A mesh says which axis is up. The camera stands a little above one of its four corners.
     """
