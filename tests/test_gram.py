@@ -177,7 +177,9 @@ def test_centers_that_reach_nothing(backend: str) -> None:
 
 
 @pairs
-def test_backward_is_autograds(design: str, kernel: str) -> None:
+@pytest.mark.parametrize("sign", [0.0, 1.0, -1.0])
+def test_backward_is_autograds(design: str, kernel: str, sign: float) -> None:
+    """With sign 0 without mirror images; their plane is y = 0.3."""
     built, phi = DESIGNS[design](k=2, weighted=True), KERNELS[design][kernel]
     m, k, p = 6, 2, 3
     centers = built.centers(p, m)
@@ -192,13 +194,20 @@ def test_backward_is_autograds(design: str, kernel: str) -> None:
     code = {"wendland": fused.WENDLAND}.get(phi.name, fused.THIN_PLATE if design == "plane" else fused.CUBIC)
     dC = torch.empty_like(centers)
     given = (dG + dG.mT).numpy(), db.numpy(), dC.numpy()
-    fused.gram_backward(centers.numpy(), X, W, g, starts, low, high, code, phi.support or 0.0, *given)
+
+    def mirrored(C: torch.Tensor) -> torch.Tensor:
+        return torch.cat((C[..., :1], 0.6 - C[..., 1:2], C[..., 2:]), dim=-1)
+
+    images = (mirrored(centers).numpy(), sign, 1)
+    fused.gram_backward(centers.numpy(), *images, X, W, g, starts, low, high, code, phi.support or 0.0, *given)
+
+    def columns(C: torch.Tensor) -> torch.Tensor:
+        squared = (C[:, None] - built.vertices[:, None]).square().sum(-1)
+        # Where a vertex sits on a center autograd of the square root has no value; there the product's limit is 0.
+        return phi(torch.where(squared > 0, squared, 1.0).sqrt() * (squared > 0))
 
     C = centers.clone().requires_grad_()
-    squared = (C[:, None] - built.vertices[:, None]).square().sum(-1)
-    # Where a vertex sits on a center autograd of the square root has no value; there the product's limit is 0.
-    r = torch.where(squared > 0, squared, 1.0).sqrt() * (squared > 0)
-    Phi = built.weights.sqrt()[:, None] * phi(r)
+    Phi = built.weights.sqrt()[:, None] * (columns(C) + sign * columns(mirrored(C)))
     weighted = built.weights.sqrt()[:, None] * built.gradient
     ((Phi.mT @ Phi * dG).sum() + (Phi.mT @ weighted * db).sum()).backward()
     assert C.grad is not None
