@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 import tempfile
 import traceback
@@ -43,6 +44,8 @@ def job(config: DictConfig) -> None:
     except Exception as error:
         traceback.print_exc()
         code, message = 1, f"{type(error).__name__}: {error}"
+    if code == 2 and sorted(path.name for path in directory.glob("*")) == [".hydra"]:
+        shutil.rmtree(directory, ignore_errors=True)  # a mistake leaves no directory behind
     if message:
         where = f"{directory.name}: " if HydraConfig.get().mode == RunMode.MULTIRUN else ""
         print(f"rbfevo: {where}{' '.join(message.split())}", file=sys.stderr)
@@ -53,7 +56,7 @@ def job(config: DictConfig) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 2 for a user's mistake, 130, 143, or 1."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    words = overrides.quoted(sys.argv[1:] if arguments is None else arguments)
     OmegaConf.register_new_resolver("unique", lambda: uuid.uuid4().hex[:6], use_cache=True, replace=True)
     interrupted = False
     with tempfile.TemporaryDirectory(prefix="rbfevo-") as status:

@@ -64,7 +64,7 @@ def carry_out(options: argparse.Namespace) -> None:
     what, path = (
         ("weights", options.weights) if options.displacements is None else ("displacements", options.displacements)
     )
-    rows = read_rows(path, what, len(chosen.centers), heights=chosen.centers.shape[1] == 2)
+    rows = read_rows(path, what, chosen.centers, heights=chosen.centers.shape[1] == 2)
     try:
         chosen.refuse_across(rows, what.removesuffix("s"))
     except UserError as error:

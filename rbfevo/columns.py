@@ -21,6 +21,7 @@ BLOCK = 65_536  # rows at a time, or fewer where there are many centers
 CELLS = 2**22  # of a block of columns: 32 MB
 ON_PLANE = 1e-12  # of the box's diagonal: a center that close to the symmetry plane is on it
 EPS = float(np.finfo(float).eps)
+ROUNDING = 8 * EPS  # of the box's largest coordinate: the same far from the origin
 
 
 def wendland(r: Array, support: float) -> Array:
@@ -233,7 +234,8 @@ def setup(record: Record, row: int) -> Setup:
     on_plane = np.zeros(len(centers), dtype=bool)
     if mirror is not None:
         diagonal = float(np.linalg.norm(record.upper - record.lower))
-        on_plane = np.abs(centers[:, mirror.axis] - mirror.at) <= ON_PLANE * diagonal
+        farthest = float(np.abs([record.lower, record.upper]).max())
+        on_plane = np.abs(centers[:, mirror.axis] - mirror.at) <= max(ON_PLANE * diagonal, ROUNDING * farthest)
         centers[on_plane, mirror.axis] = mirror.at
     return Setup(
         centers=centers,

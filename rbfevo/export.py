@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,7 +28,8 @@ DESCRIPTION = """Write one setup of a run (control points and what they can do) 
 
 centers.csv        the control points;  centers.vtp, template.vtp: the same and the mesh, for ParaView
 displacements.csv  how far to move each control point: edit it, then deform any mesh with python -m rbfevo.apply
-weights.csv        the RBF weights that do the same
+weights.csv        the RBF weights that do the same: displacement = sum of times * weight * phi over centers.csv, the
+                   component across a symmetry plane turned over for mirrored ones
 setup.npz          arrays for your own optimizer: X' = X + U P
 parameters.prm     control points for PyGeM"""
 
@@ -53,13 +55,22 @@ def parser() -> Parser:
     made.add_argument("--out", type=Path, metavar="DIR", help="directory to write; RUN/export-PICK")
     made.add_argument(
         "--step",
-        type=float,
+        type=_share,
         default=STEP,
         help="where the run knows a direction only (a sensitivity): the largest displacement of a vertex, as a part "
-        f"of the diagonal of the mesh ({STEP:g})",
+        f"of the diagonal of the mesh, such as {STEP:g} or {100 * STEP:g}%%",
     )
     made.add_argument("--quiet", action="store_true", help="say nothing")
     return made
+
+
+def _share(word: str) -> float:
+    """A number, or a percentage."""
+    number, percent = (word.strip()[:-1], True) if word.strip().endswith("%") else (word, False)
+    try:
+        return float(number) / (100 if percent else 1)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{word} is neither a number nor a percentage") from None
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -75,8 +86,8 @@ def carry_out(options: argparse.Namespace) -> None:
     """
     record = read(options.run)
     row = pick(record, options.pick)
-    if not 0 < options.step < float("inf"):
-        raise UserError(f"--step {options.step:g}: a number above 0 is expected")
+    if not 0 < options.step <= 1:
+        raise UserError(f"--step {options.step:g}: a part of the diagonal, above 0 and up to 1, is expected")
     if record.vertices.shape[1] == 3 and record.gradient.shape[1] != 3:
         raise UserError(f"{options.run}: its gradient does not have the three components of a displacement in space")
     out = options.out or options.run / f"export-{options.pick.strip().replace(':', '-')}"
@@ -86,11 +97,14 @@ def carry_out(options: argparse.Namespace) -> None:
     contents, left_out = tables(record, chosen, move)
     try:
         out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out, prefix=".export-") as aside:  # all of it appears, or nothing
+            for name, content in contents.items():
+                write_whole(Path(aside) / name, content)
+            write_vtp(Path(aside), record, chosen, move)
+            for path in sorted(Path(aside).iterdir()):
+                path.replace(out / path.name)
     except OSError as error:
-        raise UserError(f"--out {out} cannot be made: {error.strerror or error}") from None
-    for name, content in contents.items():
-        write_whole(out / name, content)
-    write_vtp(out, record, chosen, move)
+        raise UserError(f"--out {out} cannot be written: {error.strerror or error}") from None
     if not options.quiet:
         for line in closing(options, record, chosen, move, out, list(contents), left_out):
             print(line, flush=True)
@@ -128,11 +142,13 @@ def spatial(rows: Array) -> Array:
 def tables(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes], dict[str, str]]:
     """The contents of all files but VTK's, and why others are left out."""
     physical, left_out = chosen.centers_and_images(), {}
-    rows = zip(physical.column.tolist(), spatial(physical.points).tolist(), physical.mirrored.tolist(), strict=True)
-    lines = [(column, *point, int(mirrored)) for column, point, mirrored in rows]
+    places, times = spatial(physical.points), 1 + chosen.on_plane[physical.column]
+    rows = zip(physical.column.tolist(), places.tolist(), physical.mirrored.tolist(), times.tolist(), strict=True)
+    lines = [(column, *point, int(mirrored), count) for column, point, mirrored, count in rows]
+    places = spatial(chosen.centers)
     contents = {
-        "centers.csv": csv_text(["center", "x", "y", "z", "mirrored"], lines),
-        "weights.csv": _numbered(["wx", "wy", "wz"], spatial(move.weights)),
+        "centers.csv": csv_text(["center", "x", "y", "z", "mirrored", "times"], lines),
+        "weights.csv": _numbered(["wx", "wy", "wz"], places, spatial(move.weights)),
     }
     crosses = chosen.crosses(record.gradient.shape[1])
     singular = chosen.singular() or (crosses and chosen.singular(across=True))
@@ -142,7 +158,7 @@ def tables(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes],
         if chosen.manipulation == "direct":
             left_out["U in setup.npz"] = reason
     else:
-        contents["displacements.csv"] = _numbered(["dx", "dy", "dz"], spatial(move.centers))
+        contents["displacements.csv"] = _numbered(["dx", "dy", "dz"], places, spatial(move.centers))
         from rbfevo.exchange import pygem
 
         try:
@@ -153,8 +169,10 @@ def tables(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes],
     return contents, left_out
 
 
-def _numbered(names: list[str], rows: Array) -> bytes:
-    return csv_text(["center", *names], [(center, *row) for center, row in enumerate(rows.tolist())])
+def _numbered(names: list[str], places: Array, rows: Array) -> bytes:
+    """A table of rows [m, 3], with where the centers are, so that it cannot be taken for that of another setup."""
+    lines = enumerate(np.hstack([places, rows]).tolist())
+    return csv_text(["center", "x", "y", "z", *names], [(center, *line) for center, line in lines])
 
 
 def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dict[str, Any]:
@@ -195,6 +213,7 @@ def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
     arrays: dict[str, Array] = {
         "center": physical.column.astype(np.int64),
         "mirrored": physical.mirrored.astype(np.uint8),
+        "times": (1 + chosen.on_plane[physical.column]).astype(np.uint8),
         "displacement": spatial(chosen.with_images(move.centers)),
     }
     if chosen.support is not None:
@@ -226,8 +245,9 @@ def closing(
         f"{options.pick.strip()}: row {chosen.row} of {options.run} ({record.method[chosen.row]}): "
         f"R = {chosen.regularity:.4g}, P = {chosen.improvement_potential:.4f}",
         f"{len(chosen.centers)} centers{mirrored}: {record.title}",
-        f"best approximation: a vertex moves by at most {reached:.4g}, wanted were {wanted:.4g}"
-        + (f" ({size})" if size else ""),
+        f"best approximation: a vertex moves by at most {reached:.4g}"
+        + (f" ({size})" if size else f", wanted were {wanted:.4g}"),
+        *_held(record, move),
         f"files: {out}: {', '.join(name for name in FILES if name in written or name.endswith('.vtp'))}",
     ]
     if "parameters.prm" in written:
@@ -239,6 +259,14 @@ def closing(
     words = [str(options.run), "--pick", options.pick.strip(), f"--{what}", str(out / f"{what}.csv")]
     words += ["--mesh", str(out / "template.vtp"), "--out", str(out / "deformed.vtp")]
     return [*lines, f"next: python -m rbfevo.apply {shlex.join(words)}"]
+
+
+def _held(record: Record, move: Move) -> list[str]:
+    """How far the setup moves vertices that are to stay, if there are any."""
+    if record.stays is None or not record.stays.any():
+        return []
+    farthest = float(np.linalg.norm(move.reached[record.stays], axis=1).max())
+    return [f"{int(record.stays.sum())} vertices are to stay; they move by at most {farthest:.4g}"]
 
 
 if __name__ == "__main__":

@@ -3,6 +3,10 @@
 With c' the image of c, the displacement that the parameters p_c cause is phi(|c - x|) p_c + phi(|c' - x|) p_c', where
 p_c' is p_c with its component across the plane turned over. So column c of U is phi_c + phi_c' for the components of a
 displacement along the plane, and phi_c - phi_c' for the component across it.
+
+A center on the plane is its own image: it counts twice along the plane and has no column across. So R jumps there: of
+a pair that comes close, the column across vanishes and takes R with it, while a center on the plane has none to lose.
+Searches therefore keep the number of centers on the plane, but for those that a bound stops just there.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ from rbfevo.errors import UserError
 from rbfevo.kernels import Kernel, distances
 
 ON_PLANE = 1e-12  # of the box's diagonal: a center that close to the plane is its own image
+ROUNDING = 8 * torch.finfo(torch.float64).eps  # of the largest coordinate of the box: the same far from the origin
 
 
 class Mirror(NamedTuple):
@@ -37,7 +42,8 @@ class Mirror(NamedTuple):
                 f"the symmetry plane {'xyz'[axis]} = {at:g} does not cross the box, where {'xyz'[axis]} runs from "
                 f"{float(lower[axis]):g} to {float(upper[axis]):g}"
             )
-        return Mirror(axis, at, ON_PLANE * float((upper - lower).norm()))
+        farthest = float(torch.stack((lower, upper)).abs().max())
+        return Mirror(axis, at, max(ON_PLANE * float((upper - lower).norm()), ROUNDING * farthest))
 
     def image(self, points: Tensor) -> Tensor:
         """Mirror images of points [..., d]."""

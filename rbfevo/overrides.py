@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import itertools
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,12 +26,36 @@ def look_over(words: Sequence[str]) -> None:
     Raises:
         UserError: naming the word or the directory.
     """
-    for word in words:
-        key, _, value = word.partition("=")
-        if not key.strip("+~ "):
+    for before, word in itertools.pairwise(["", *words]):
+        key, equals, value = word.partition("=")
+        option = word.startswith(("-", "~")) or (before.startswith("-") and before not in ("-m", "--multirun"))
+        if not key.strip("+~ ") or not (equals or option):
             raise UserError(f"{word or 'an empty word'}: a setting is written key=value")
         if key == "hydra.run.dir":
             storage.refuse_results(Path(value.strip("'\"")))
+
+
+PATHS = ("template", "target", "sensitivity", "fixed", "scan")  # keys of a scenario that are files or names
+_PLAIN = re.compile(r"[\w./\\+:%@?|$*-]*", re.ASCII)  # what Hydra takes without quotes
+
+
+def quoted(words: Sequence[str]) -> list[str]:
+    """The words with quotes about values that are files or names and that Hydra could not read without.
+
+    That is blanks, brackets, = and the like in `scenario.template=a(1).vtp` or `hydra.run.dir=...`. A comma stays what
+    it is in a sweep (-m), and a list or something in quotes as it is.
+    """
+    sweep = any(word in ("-m", "--multirun") for word in words)
+    found = []
+    for word in words:
+        key, equals, value = word.partition("=")
+        path = key in ("hydra.run.dir", "hydra.sweep.dir") or key in [f"scenario.{name}" for name in PATHS]
+        listed = value[:1] in ("[", "{", "'", '"') or "${" in value or (sweep and "," in value)
+        if equals and path and not listed and not _PLAIN.fullmatch(value):
+            escaped = value.replace("'", "\\'")
+            word = f"{key}='{escaped}'"
+        found.append(word)
+    return found
 
 
 def explain(error: Exception, words: Sequence[str], conf: Path) -> str:
@@ -50,7 +75,10 @@ def explain(error: Exception, words: Sequence[str], conf: Path) -> str:
         return unknown_key(unknown.group(1).rstrip("."), words, conf)
     if isinstance(error, OSError):
         return f"{error.filename}: {error.strerror}; choose another hydra.run.dir" if error.filename else str(error)
-    return re.sub(r"\s+", " ", first)
+    said = re.sub(r"\s+", " ", first)
+    if re.search(r"mismatched input|LexerNoViableAlt|extraneous input|no viable alternative|Ambiguous value", said):
+        said += "; put a value with blanks, brackets, commas or other signs into two pairs of quotes: 'key=\"value\"'"
+    return said
 
 
 def unknown_key(key: str, words: Sequence[str], conf: Path) -> str:
@@ -61,6 +89,8 @@ def unknown_key(key: str, words: Sequence[str], conf: Path) -> str:
     while parent and not isinstance(node, DictConfig):
         parent, _, name = parent.rpartition(".")
         node = OmegaConf.select(config, parent) if config is not None and parent else config
+    if key == "kernel.support":
+        return "kernel.support: this kernel reaches everywhere and has no support radius; use kernel=wendland"
     keys = [str(k) for k in node if not str(k).startswith("_")] if isinstance(node, DictConfig) else []
     path = f"{parent}." if parent else ""
     near = difflib.get_close_matches(name, keys, n=1)

@@ -9,10 +9,17 @@ from torch import Tensor
 from rbfevo.kernels import Kernel
 from rbfevo.scenarios.scenario import Scenario
 
+FARTHEST = 2.0  # diagonals of the box
 
-def too_short(scenario: Scenario, kernel: Kernel) -> list[str]:
-    """A warning if the support radius is below the vertex spacing, the median length of an edge."""
+
+def unfit(scenario: Scenario, kernel: Kernel) -> list[str]:
+    """A warning if the support radius is below the vertex spacing (the median edge), or far beyond the box."""
     faces, vertices = scenario.faces, scenario.vertices
+    if kernel.support is not None and kernel.support > FARTHEST * scenario.diagonal:
+        return [
+            f"the support radius {kernel.support:g} is {kernel.support / scenario.diagonal:.3g} times the diagonal of "
+            "the box: every center moves everything almost alike (a percentage of it is written kernel.support=15%)"
+        ]
     if kernel.support is None or not len(faces):
         return []
     edges = torch.cat((faces[:, :2], faces[:, 1:], faces[:, ::2]))

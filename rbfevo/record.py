@@ -32,6 +32,7 @@ class Record:
         vertices, faces, gradient, weights: [n, d], [f, 3], [n, k] of unit (weighted) norm, [n].
         lower, upper: [d] corners of the box.
         summary: summary.json.
+        stays: [n] bool, vertices that are to stay where they are; None if the run did not say.
     """
 
     centers: Array
@@ -47,6 +48,7 @@ class Record:
     lower: Array
     upper: Array
     summary: dict[str, Any]
+    stays: Array | None = None
 
     @property
     def scored(self) -> Array:
@@ -90,6 +92,8 @@ def read(run: Path) -> Record:
     Raises:
         UserError: if one of them is missing, unreadable, or does not fit the others.
     """
+    if not run.is_dir():
+        raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
     setups, scenario = _arrays(run / "setups.npz", SETUPS), _arrays(run / "scenario.npz", SCENARIO)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
     p, n = len(setups["regularity"]), len(scenario["vertices"])
@@ -104,7 +108,9 @@ def read(run: Path) -> Record:
     if not fitting:
         raise UserError(f"{run}: setups.npz, scenario.npz and summary.json do not fit together")
     setups["method"], setups["nondominated"] = setups["method"].astype(str), setups["nondominated"].astype(bool)
-    return Record(**setups, **scenario, summary=summary)
+    with np.load(run / "scenario.npz", allow_pickle=False) as archive:
+        stays = archive["stays"].astype(bool) if "stays" in archive and archive["stays"].shape == (n,) else None
+    return Record(**setups, **scenario, summary=summary, stays=stays)
 
 
 FIT = ("centers", "parameters", "deformed", "local_error", "moved_centers")
@@ -181,4 +187,4 @@ def _load(path: Path, load: Any) -> Any:
     except KeyError as error:
         raise UserError(f"{path} cannot be used: {error.args[0]}") from None
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
+        raise UserError(f"{path} cannot be read: damaged? ({' '.join(str(error).split())})") from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import platform
 import signal
@@ -29,6 +30,7 @@ from rbfevo.threads import coarse
 
 # Up to this many numbers in U the rows of a result are scored by the definition, above by the blocked evaluator.
 DEFINED_UP_TO = 4_000_000
+MATCHED_ON = 20  # setups
 # Below this many evaluations times vertices, plain torch is done before numba has compiled for the first time (8 s).
 COMPILE_FROM = 10_000_000
 
@@ -77,6 +79,7 @@ class Run:
             )
         self.kernel: Kernel = build(settings.kernel, d, self.scenario.support, self.scenario.diagonal)
         method = build(settings.method)
+        self._enough_vertices(method)
         self.name: str = method.name
         self.stages: list[Method] = getattr(method, "stages", [method])
         self.planned = sum(stage.planned_evaluations(settings.preferences) for stage in self.stages)
@@ -90,11 +93,22 @@ class Run:
         self.rows: list[Rows] = []
         self._drawn = 0  # of the rows: the initial population, scored on all vertices
         self.history: list[Record] = []
-        self.warnings: list[str] = [*self.scenario.warnings, *reach.too_short(self.scenario, self.kernel)]
+        self.warnings: list[str] = [*self.scenario.warnings, *reach.unfit(self.scenario, self.kernel)]
         self.differences: dict[str, float] | None = None
+        self.told = 0  # warnings that have been printed
         self.seconds = 0.0
         self.stop_reason = "budget"
         self.threads = torch.get_num_threads()
+
+    def _enough_vertices(self, method: Any) -> None:
+        """Raise UserError if a search would look at fewer vertices than twice the centers."""
+        asked = {
+            "scenario.search_vertices": self.scenario.search_vertices,
+            "method.coarse": getattr(method, "coarse", None),
+        }
+        for key, count in asked.items():
+            if count is not None and count < len(self.scenario.vertices) and count < 2 * self.settings.centers:
+                raise UserError(f"{key}={count}: at least twice as many as centers={self.settings.centers} are needed")
 
     def _evaluator(self, scenario: Scenario) -> Evaluator:
         """Of this run's kernel and manipulation, on a scenario's vertices; all that a GPU does, it does in there."""
@@ -150,6 +164,13 @@ class Run:
             self._drawn = 1
         return rows
 
+    @functools.cached_property
+    def _for_matching(self) -> Rows:
+        """A few random setups, scored on all vertices, where a method asks for no initial population."""
+        sample = self.scenario.sample(MATCHED_ON, self.settings.centers, self._stream("matching"))
+        centers = self.scenario.parameterization(sample)
+        return no_preference("random", centers, self.full_evaluator(centers))
+
     def _stream(self, name: str) -> torch.Generator:
         return random_stream(self.settings.seed, name)
 
@@ -170,8 +191,9 @@ class Run:
             if fewer is scenario:
                 return problem
             trial = self._evaluator(fewer)
-            potential = trial(initial.centers).improvement_potential
-            fewer = matched(fewer, potential, initial.scores.improvement_potential)
+            known = initial if len(initial.centers) else self._for_matching
+            potential = trial(known.centers).improvement_potential
+            fewer = matched(fewer, potential, known.scores.improvement_potential)
             coarse = self._evaluator(fewer)
             coarse.evaluations = trial.evaluations
             self.coarse_evaluators.append(coarse)
@@ -212,6 +234,7 @@ class Run:
             "factorizations": self.total("factorizations"),
             "gradients": self.total("gradients"),
             "coarse_vertices": [len(evaluator.deformation.vertices) for evaluator in self.coarse_evaluators],
+            "scored_by": "definition" if self._defined else "evaluator",
             "seconds": self.seconds,
             "evaluations_per_second": evaluations / self.seconds if self.seconds > 0 else 0.0,
             "hypervolume": volume,
@@ -233,14 +256,21 @@ class Run:
         mirror = self.scenario.mirror
         return None if mirror is None else {"axis": "xyz"[mirror.axis], "at": mirror.at}
 
+    @property
+    def _defined(self) -> bool:
+        return len(self.scenario.vertices) * self.settings.centers <= DEFINED_UP_TO
+
     def _final(self, centers: torch.Tensor) -> Scores:
         """Scores on all vertices, by the definition where U is not too large for that."""
-        if len(self.scenario.vertices) * self.settings.centers <= DEFINED_UP_TO:
-            return self.full_evaluator.definition(centers)
-        return self.full_evaluator(centers)
+        evaluator = self.full_evaluator
+        if self._defined:
+            return evaluator.definition(centers)
+        return evaluator_of(self.scenario.to(self.device), self.kernel, self.settings.manipulation, evaluator.backend)(
+            centers
+        )  # one of its own: these are no evaluations of the search
 
     def save(self, directory: Path, reporter: Reporter) -> None:
-        """Score the rows by definition, write the run directory and draw its figures."""
+        """Score the rows on all vertices, write the run directory and draw its figures."""
         if not self.rows:
             reporter.line("stopped before anything was found; nothing was written")
             return
@@ -255,7 +285,7 @@ class Run:
         storage.write_history(directory, self.history)
         storage.write_summary(directory, self.summary(hypervolume(objectives)))
         drawn = figures.draw(directory) if self.settings.figures else []
-        for warning in [*self.warnings, *drawn]:
+        for warning in [*self.warnings[self.told :], *drawn]:
             reporter.line(f"warning: {warning}")
         reporter.closing_table(table, directory)
 
@@ -273,6 +303,9 @@ def carry_out(settings: Settings, directory: Path) -> int:
         reporter = Reporter(run.planned, settings.quiet)
         for note in run.scenario.notes.values():
             reporter.line(note)
+        for warning in run.warnings:
+            reporter.line(f"warning: {warning}")
+        run.told = len(run.warnings)
         try:
             run.search(reporter, interruption)
         except BaseException:
@@ -286,20 +319,21 @@ def carry_out(settings: Settings, directory: Path) -> int:
 
 
 def differences(searched: Sequence[Rows], final: Sequence[Rows]) -> dict[str, float] | None:
-    """How far scores on a search's vertices were from those on all: medians and maxima of |dR|/R and |dP|.
+    """How far scores on a search's vertices were from those on all: (R' - R)/R and P' - P, R' and P' the search's.
 
-    None where there are no rows.
+    Medians tell the bias, the others the largest size; g is scaled so that P fits for random setups. None where there
+    are no rows.
     """
     if not searched:
         return None
     before, after = (torch.cat([row.scores.objectives for row in rows]) for rows in (searched, final))
-    relative = (before[:, 0] - after[:, 0]).abs() / after[:, 0].clamp_min(1e-300)
-    absolute = (before[:, 1] - after[:, 1]).abs()
+    relative = (before[:, 0] - after[:, 0]) / after[:, 0].clamp_min(1e-12)
+    absolute = before[:, 1] - after[:, 1]
     return {
         "regularity_median": float(relative.median()),
-        "regularity_largest": float(relative.max()),
+        "regularity_largest": float(relative.abs().max()),
         "improvement_potential_median": float(absolute.median()),
-        "improvement_potential_largest": float(absolute.max()),
+        "improvement_potential_largest": float(absolute.abs().max()),
     }
 
 

@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from rbfevo import exchange
 from rbfevo.errors import UserError
+from rbfevo.exchange import program
 from rbfevo.exchange.tables import read_rows
 
 CUBE = np.array([[x, y, z] for x in (0, 0.5, 1) for y in (0, 0.5, 1) for z in (0, 0.5, 1)])
@@ -486,6 +487,7 @@ def test_whatever_bytes_come_in_through_a_process(ending: str, tmp_path: Path, m
 
 # --- displacements ---------------------------------------------------------------------------------------------------
 
+CENTERS = np.zeros((3, 3))
 ROWS = np.array([[0.5, -1.0, 2.0], [3.0, 4.0, 5.5], [6.0, 7.0, -8.25]])
 GOOD = {
     "0.5,-1,2\n3,4,5.5\n6,7,-8.25\n": "three columns",
@@ -500,23 +502,23 @@ GOOD = {
 @pytest.mark.parametrize("text", GOOD, ids=GOOD.values())
 def test_tables_of_displacements(text: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(text, encoding="utf-8", newline="")
-    np.testing.assert_array_equal(read_rows(tmp_path / "a.csv", "displacements", 3, heights=False), ROWS)
+    np.testing.assert_array_equal(read_rows(tmp_path / "a.csv", "displacements", CENTERS, heights=False), ROWS)
 
 
 def test_arrays_of_displacements_and_heights(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", ROWS)
     np.savez(tmp_path / "a.npz", weights=ROWS.astype("f4"), displacements=ROWS + 1)
     heights = np.column_stack([np.zeros((3, 2)), ROWS[:, 2]])
-    np.testing.assert_array_equal(read_rows(tmp_path / "a.npy", "weights", 3, heights=False), ROWS)
-    np.testing.assert_array_equal(read_rows(tmp_path / "a.npz", "weights", 3, heights=False), ROWS)
-    np.testing.assert_array_equal(read_rows(tmp_path / "a.npz", "displacements", 3, heights=True), ROWS + 1)
+    np.testing.assert_array_equal(read_rows(tmp_path / "a.npy", "weights", CENTERS, heights=False), ROWS)
+    np.testing.assert_array_equal(read_rows(tmp_path / "a.npz", "weights", CENTERS, heights=False), ROWS)
+    np.testing.assert_array_equal(read_rows(tmp_path / "a.npz", "displacements", CENTERS, heights=True), ROWS + 1)
     for array in (ROWS[:, 2], ROWS[:, 2:]):
         np.save(tmp_path / "b.npy", array)
-        np.testing.assert_array_equal(read_rows(tmp_path / "b.npy", "weights", 3, heights=True), heights)
+        np.testing.assert_array_equal(read_rows(tmp_path / "b.npy", "weights", CENTERS, heights=True), heights)
     (tmp_path / "c.csv").write_text("center,dz\n2,-8.25\n1,5.5\n0,2\n")
-    np.testing.assert_array_equal(read_rows(tmp_path / "c.csv", "displacements", 3, heights=True), heights)
+    np.testing.assert_array_equal(read_rows(tmp_path / "c.csv", "displacements", CENTERS, heights=True), heights)
     with pytest.raises(UserError, match=r"shape is \[3, 1\], but there are 3 centers: \[3, 3\] is expected"):
-        read_rows(tmp_path / "b.npy", "weights", 3, heights=False)
+        read_rows(tmp_path / "b.npy", "weights", CENTERS, heights=False)
 
 
 BAD = {
@@ -540,7 +542,7 @@ BAD = {
 def test_a_bad_table_is_one_line(text: str, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(text)
     with pytest.raises(UserError) as error:
-        read_rows(tmp_path / "a.csv", "displacements", 3, heights=False)
+        read_rows(tmp_path / "a.csv", "displacements", CENTERS, heights=False)
     if "NUMPY" not in text:
         assert BAD[text] in str(error.value)
     assert str(error.value).startswith("--displacements ")
@@ -556,12 +558,12 @@ def test_other_arrays_are_one_line(tmp_path: Path) -> None:
     ):
         np.save(tmp_path / f"{name}.npy", array, allow_pickle=True)
         with pytest.raises(UserError, match=message):
-            read_rows(tmp_path / f"{name}.npy", "weights", 3, heights=False)
+            read_rows(tmp_path / f"{name}.npy", "weights", CENTERS, heights=False)
     np.savez(tmp_path / "a.npz", other=ROWS)
     with pytest.raises(UserError, match="there is no array weights in it; there is other"):
-        read_rows(tmp_path / "a.npz", "weights", 3, heights=False)
+        read_rows(tmp_path / "a.npz", "weights", CENTERS, heights=False)
     with pytest.raises(UserError, match="no such file"):
-        read_rows(tmp_path / "gone.npz", "weights", 3, heights=False)
+        read_rows(tmp_path / "gone.npz", "weights", CENTERS, heights=False)
 
 
 @settings(max_examples=80)
@@ -570,9 +572,20 @@ def test_whatever_bytes_hold_displacements(tmp_path_factory: Any, content: bytes
     path = tmp_path_factory.mktemp("table") / "a.csv"
     path.write_bytes(content)
     try:
-        rows, said = read_rows(path, "displacements", 2, heights), ""
+        rows, said = read_rows(path, "displacements", np.zeros((2, 3)), heights), ""
     except UserError as error:
         rows, said = np.zeros((2, 3)), str(error)
     assert rows.shape == (2, 3)
     assert np.isfinite(rows).all()
     assert "\n" not in said
+
+
+def test_nastran_takes_any_coordinates(tmp_path: Path) -> None:
+    """meshio's writer insists on 16 characters a number, which negative and very small ones exceed."""
+    points = np.random.default_rng(0).normal(size=(40, 3)) * 10.0 ** np.arange(-20, 20)[:, None]
+    points[0] = 0.0
+    rounded = program.sixteen_characters(points)
+    np.testing.assert_allclose(rounded, points, rtol=1e-9)
+    triangles = np.arange(39).reshape(13, 3)
+    meshio.Mesh(rounded, [("triangle", triangles)]).write(tmp_path / "a.nas", "nastran")
+    np.testing.assert_allclose(meshio.read(tmp_path / "a.nas").points, points, rtol=1e-9)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import pyvista
 import trimesh
+from scipy.spatial.distance import cdist
 from test_columns import MIRRORS, field, phi
 
 from rbfevo import apply, export
@@ -106,16 +107,24 @@ def test_every_file_says_what_numpy_says(name: str, tmp_path: Path, capsys: pyte
         images[:, axis] = 2 * symmetry["at"] - images[:, axis]
         physical, column = np.concatenate([C, images]), np.concatenate([column, off])
     header, rows = table(out / "centers.csv")
-    assert header == ["center", "x", "y", "z", "mirrored"]
+    assert header == ["center", "x", "y", "z", "mirrored", "times"]
     mirrored = (np.arange(len(physical)) >= m).astype(float)
-    np.testing.assert_allclose(rows, np.column_stack([column, spatial(physical), mirrored]), atol=1e-15)
+    np.testing.assert_allclose(rows[:, :5], np.column_stack([column, spatial(physical), mirrored]), atol=1e-15)
+    times = rows[:, 5]
 
     header, rows = table(out / "weights.csv")
-    assert header == ["center", "wx", "wy", "wz"]
-    np.testing.assert_allclose(rows, np.column_stack([np.arange(m), spatial(w)]), atol=1e-8)
+    assert header == ["center", "x", "y", "z", "wx", "wy", "wz"]
+    np.testing.assert_allclose(rows, np.column_stack([np.arange(m), spatial(C), spatial(w)]), atol=1e-8)
+    # What an engineer would do with both tables: add up the kernel times the weights, turned over for images.
+    own = rows[column, 4:] * times[:, None]
+    if axis is not None and k > 1:
+        own[mirrored > 0, axis] *= -1
+    distance = cdist(spatial(record.vertices), spatial(physical))
+    summed = phi(distance, CASES[name]["kernel"], record.summary["support"], d) @ own
+    np.testing.assert_allclose(summed, spatial(reached), atol=1e-8)
     header, rows = table(out / "displacements.csv")
-    assert header == ["center", "dx", "dy", "dz"]
-    np.testing.assert_allclose(rows[:, 1:], spatial(field(record, 1, C, w)), atol=1e-8)
+    assert header == ["center", "x", "y", "z", "dx", "dy", "dz"]
+    np.testing.assert_allclose(rows[:, 4:], spatial(field(record, 1, C, w)), atol=1e-8)
     assert rows[:, 0].tolist() == list(range(m))
 
     points: Any = pyvista.read(out / "centers.vtp")
@@ -193,6 +202,7 @@ def test_pygem_would_interpolate_the_control_points(name: str, tmp_path: Path) -
     kernel, radius, keywords, original, deformed = parse_pygem(tmp_path / "out" / "parameters.prm")
     _, centers = table(tmp_path / "out" / "centers.csv")
     _, moves = table(tmp_path / "out" / "displacements.csv")
+    moves = moves[:, [0, 4, 5, 6]]
     np.testing.assert_array_equal(original, centers[:, 1:4])
     expected = moves[centers[:, 0].astype(int), 1:]
     expected[centers[:, 4] == 1] *= [1, -1, 1]
@@ -226,7 +236,7 @@ def test_a_direction_is_scaled_to_the_step(told: dict[str, Any], tmp_path: Path)
         np.testing.assert_allclose(wanted, factor * record.gradient, atol=1e-10)
         share = (record.weights[:, None] * (wanted - reached) ** 2).sum() / (record.weights[:, None] * wanted**2).sum()
         assert 0 < share < 1
-    a, b = (table(tmp_path / name / "displacements.csv")[1][:, 1:] for name in "ab")
+    a, b = (table(tmp_path / name / "displacements.csv")[1][:, 4:] for name in "ab")
     np.testing.assert_allclose(4 * a, b, atol=1e-12)
 
 
@@ -256,11 +266,13 @@ MISTAKES = {
     "RUN": "--pick",
     "RUN --pick nee": "choose one of knee",
     "RUN --pick index:9": "there are rows 0 to 3",
-    "RUN/nowhere --pick knee": "setups.npz is missing",
+    "RUN/nowhere --pick knee": "there is no such run directory",
+    "RUN/setups.npz --pick knee": "is a file, not a run directory",
     "RUN --pick knee --step 0": "above 0",
     "RUN --pick knee --step nan": "above 0",
-    "RUN --pick knee --step x": "invalid float value",
-    "RUN --pick knee --out RUN/setups.npz": "cannot be made",
+    "RUN --pick knee --step 7": "up to 1",
+    "RUN --pick knee --step x": "neither a number nor a percentage",
+    "RUN --pick knee --out RUN/setups.npz": "cannot be written",
     "RUN --pick knee --bogus": "--bogus",
 }
 

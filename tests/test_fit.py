@@ -495,7 +495,7 @@ MISTAKES = {
     "RUN": "--pick",
     "RUN --pick nee": "choose one of knee",
     "RUN --pick index:99": "there are rows 0 to 5",
-    "RUN/nowhere --pick knee": "setups.npz is missing",
+    "RUN/nowhere --pick knee": "there is no such run directory",
     "RUN --pick knee --seed x": "invalid int value: 'x'",
     "RUN --pick knee --seed -1": "--seed -1",
     "RUN --pick knee --manipulation both": "choose one of indirect, direct, orthogonalized",

@@ -69,7 +69,7 @@ MISTAKES = {
     "kernel.support=0%": "must be a positive number",
     "kernel.support=%": "must be a positive number",
     "kernel.support=true": "must be a positive number",
-    "kernel=triharmonic kernel.support=1": "no such key",
+    "kernel=triharmonic kernel.support=1": "has no support radius",
     "device=tpu": "choose one of auto, cpu, cuda",
     "evaluator=foo": "choose one of auto, fused, eager",
     "scenario.resolution=5": "a list, each entry a whole number, is expected",

@@ -14,6 +14,7 @@ import torch
 import trimesh
 
 from rbfevo.errors import UserError
+from rbfevo.methods.lloyd import lloyd
 from rbfevo.scenarios import mesh
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scenarios.templates import read_template
@@ -33,6 +34,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     surface["zero"] = np.zeros(len(X))
     surface["front"] = (X[:, 0] < 8.5).astype(np.float64)
     surface["even"] = np.stack([X[:, 0] - 10.0, X[:, 1] + 4.0, np.ones(len(X))], axis=1)
+    surface["odd"] = np.stack([np.ones(len(X)), X[:, 0] - 10.0, 0 * X[:, 0]], axis=1)
     surface.save(directory / "ball.vtp")
     BALL.copy().apply_scale(1.5).apply_translation(OFFSET).export(directory / "bigger.ply")
     return directory
@@ -170,22 +172,56 @@ def test_symmetry_knows_what_is_out_of_reach(folder: Path) -> None:
     assert float(scenario.lower[0]) < 8.0
 
 
-def test_half_a_model_is_understood(tmp_path: Path) -> None:
+@pytest.mark.parametrize("at", [None, 0.0])
+def test_half_a_model_is_understood(tmp_path: Path, at: float | None) -> None:
     half = pv.wrap(BALL).clip("y", origin=(0.0, 0.0, 0.0))
     half.save(tmp_path / "half.vtp")
     np.save(tmp_path / "s.npy", np.ones(half.n_points))
     scenario = mesh(
-        template=str(tmp_path / "half.vtp"), sensitivity=str(tmp_path / "s.npy"), symmetry="y", symmetry_at=0.0
+        template=str(tmp_path / "half.vtp"), sensitivity=str(tmp_path / "s.npy"), symmetry="y", symmetry_at=at
     )
     assert "one half" in scenario.notes["symmetry"]
     assert scenario.side == -1.0
     assert len(scenario.half().vertices) == half.n_points
 
 
+@pytest.mark.parametrize("method", ["sample", "lloyd"])
+def test_centers_kept_out_of_an_array_do_not_meet(folder: Path, method: str) -> None:
+    scenario = build(folder, sensitivity="vector", fixed="front", keep_out=True)
+    if method == "sample":
+        centers = scenario.parameterization(scenario.sample(50, 20, torch.Generator().manual_seed(2)))
+    else:
+        design = scenario.half(open_only=True)
+        assert bool((design.vertices[:, 0] >= 8.5).all())
+        centers = scenario.parameterization(lloyd(design.vertices, 20, generator=torch.Generator().manual_seed(2)))[
+            None
+        ]
+    apart = torch.cdist(centers, centers) + 9.0 * torch.eye(20, dtype=torch.float64)
+    assert float(apart.min()) > 1e-3
+
+
+def test_normals_of_an_open_surface_that_point_inwards_are_warned_about(tmp_path: Path) -> None:
+    cap: Any = pv.wrap(BALL).clip("z", origin=(0.0, 0.0, 1.0)).triangulate()
+    triangles = np.asarray(cap.regular_faces)
+    for name, faces in (("out", triangles), ("in", triangles[:, ::-1])):
+        surface = pv.PolyData.from_regular_faces(np.asarray(cap.points), faces)
+        surface["s"] = np.ones(surface.n_points)
+        surface.save(tmp_path / f"{name}.vtp")
+        warnings = mesh(template=str(tmp_path / f"{name}.vtp"), sensitivity="s").warnings
+        assert ["point inwards" in warning for warning in warnings] == ([True] if name == "in" else [])
+
+
+def test_rows_for_an_stl_file_are_doubted(folder: Path, tmp_path: Path) -> None:
+    BALL.export(tmp_path / "ball.stl")
+    np.save(tmp_path / "s.npy", np.arange(len(X)) + 1.0)
+    scenario = mesh(template=str(tmp_path / "ball.stl"), sensitivity=str(tmp_path / "s.npy"))
+    assert "no order of vertices" in scenario.warnings[0]
+
+
 MISTAKES: list[tuple[dict[str, Any], str]] = [
     (
         {},
-        "needs one of scenario.target=FILE and scenario.sensitivity=NAME_OR_FILE (point arrays in the template: even,",
+        "one of scenario.target=FILE and scenario.sensitivity=NAME_OR_FILE (point arrays in the template: even, front,",
     ),
     ({"target": "bigger.ply", "sensitivity": "scalar"}, "both given"),
     ({"sensitivity": "zero"}, "zero at every vertex"),
@@ -210,6 +246,8 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"sensitivity": "scalar", "fixed": [0, 0, 0, 1, 1, 1]}, "marks no vertex (the template spans 8 to 12"),
     ({"sensitivity": "scalar", "fixed": [None] * 6}, "marks every vertex"),
     ({"target": "bigger.ply", "target_scale": -1.0}, "scenario.target_scale=-1.0"),
+    ({"target": "bigger.ply", "objective": "maximize"}, "belong to a sensitivity"),
+    ({"sensitivity": "odd", "symmetry": "x"}, "antisymmetric"),
     ({"target": "ball.vtp", "reject": "none"}, "no vertex is left that wants to move"),
 ]
 

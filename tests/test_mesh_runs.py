@@ -109,6 +109,22 @@ def test_saved_scores_of_symmetric_setups_are_those_of_a_plain_svd(
         assert abs(potential - setups["improvement_potential"][i]) <= 1e-8
 
 
+@pytest.mark.parametrize("count", [4, 5])
+def test_even_and_odd_numbers_of_columns(count: int, template: Path, tmp_path: Path) -> None:
+    words = [f"centers={count}", f"kernel.support={SUPPORT}", "scenario.symmetry=y", "scenario.symmetry_at=0"]
+    setups, _, _ = run(tmp_path, template, "method=cmaes", *METHODS["cmaes"], *words)
+    assert (setups["centers"][:, -1, 1] == 0).all() == (count % 2 == 1)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_centers_and_images_stay_out_of_a_box_beside_the_plane(method: str, template: Path, tmp_path: Path) -> None:
+    words = [f"method={method}", *METHODS[method], f"kernel.support={SUPPORT}", "scenario.symmetry=y"]
+    words += ["scenario.fixed=[-1,-0.7,-9,1,0.1,9]", "scenario.keep_out=true", "scenario.symmetry_at=0"]
+    setups, _, _ = run(tmp_path, template, *words)
+    for C in (setups["centers"], setups["centers"] * (1, -1, 1)):
+        assert not ((C[..., 0] > -1) & (C[..., 0] < 1) & (C[..., 1] > -0.7) & (C[..., 1] < 0.1)).any()
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_centers_stay_out_of_the_fixed_region(method: str, template: Path, tmp_path: Path) -> None:
     words = [f"method={method}", *METHODS[method], f"kernel.support={SUPPORT}"]
@@ -124,13 +140,40 @@ def test_a_search_on_few_vertices_is_scored_on_all(template: Path, tmp_path: Pat
     assert said["vertices"] == 642
     assert 150 <= said["search_vertices"] <= 200
     gaps = said["search_differences"]
-    assert 0 < gaps["improvement_potential_median"] <= gaps["improvement_potential_largest"] < 0.05
-    assert 0 < gaps["regularity_median"] <= gaps["regularity_largest"] < 0.2
+    assert 0 < abs(gaps["improvement_potential_median"]) <= gaps["improvement_potential_largest"] < 0.05
+    assert 0 < abs(gaps["regularity_median"]) <= gaps["regularity_largest"] < 0.2
     assert len(files["vertices"]) == 642
     _, _, all_of_it = run(tmp_path / "all", template, *words)
     assert all_of_it["search_vertices"] == 642
     assert all_of_it["search_differences"] is None
+    _, _, lloyd = run(
+        tmp_path / "lloyd", template, "method=lloyd", "kernel.support=1.5", "scenario.search_vertices=200"
+    )
+    assert lloyd["search_differences"]["improvement_potential_largest"] < 0.02
     assert few["regularity"].max() > 0
+
+
+def test_large_results_are_scored_by_the_evaluator_and_not_counted(
+    template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["method=random", "method.population=6", f"kernel.support={SUPPORT}"]
+    small, _, before = run(tmp_path / "small", template, *words)
+    monkeypatch.setattr("rbfevo.run.DEFINED_UP_TO", 100)
+    large, _, after = run(tmp_path / "large", template, *words)
+    assert (before["scored_by"], after["scored_by"]) == ("definition", "evaluator")
+    assert before["evaluations"] == after["evaluations"] == 6
+    np.testing.assert_allclose(large["regularity"], small["regularity"], rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(large["improvement_potential"], small["improvement_potential"], rtol=0, atol=1e-8)
+
+
+def test_file_names_with_any_signs(template: Path, tmp_path: Path) -> None:
+    odd = tmp_path / "a (1), b=c [x] tür's.ply"
+    odd.write_bytes(template.read_bytes())
+    words = ["method=random", "method.population=3", "scenario.weights=area"]
+    _, _, said = run(
+        tmp_path / "out (1)", odd.parent / odd.name, *words, f"scenario.sensitivity={template.parent / 's.npy'}"
+    )
+    assert odd.name in said["notes"]["template"]
 
 
 def test_radii_that_do_not_fit_are_warned_about(template: Path, tmp_path: Path) -> None:
@@ -153,6 +196,8 @@ def test_a_percentage_is_of_the_boxs_diagonal(template: Path, tmp_path: Path) ->
         (["scenario.templat=a"], "did you mean scenario.template?"),
         (["scenario.fixed=[0,0]"], "a box is six numbers"),
         (["scenario.search_vertices=1"], "at least 100"),
+        (["scenario.search_vertices=100", "centers=60"], "at least twice as many"),
+        (["scenario.symmetry", "y"], "a setting is written key=value"),
         (["scenario.sensitivity=nothing"], "scenario.sensitivity=nothing"),
     ],
 )
@@ -164,4 +209,4 @@ def test_mistakes(
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1
     assert said in lines[0]
-    assert not (tmp_path / "run" / "setups.npz").exists()
+    assert not (tmp_path / "run").exists()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rbfevo.mirror import Mirror
 from rbfevo.parameterization import BoxRegion, Parameterization, VertexRegion
@@ -75,17 +77,54 @@ def test_centers_closest_to_a_fixed_vertex_go_to_the_nearest_free_one() -> None:
     region = VertexRegion(vertices, torch.tensor([True, True, False, False]))
     where = torch.tensor([[0.4, 0.1, 0], [1.4, 0.1, 0], [1.6, 0.1, 0], [torch.nan, 0, 0]], dtype=torch.float64)
     placed, moved = region.project(where)
-    assert placed[:3].tolist() == [[2.0, 0.0, 0.0], [2.0, 0.0, 0.0], [1.6, 0.1, 0.0]]
+    assert placed[2].tolist() == [1.6, 0.1, 0.0]
     assert moved[:, 0].tolist() == [True, True, False, False]
     assert bool(placed[3, 0].isnan())
+    assert not bool(region.contains(placed).any())
+    stop = (placed[:2] - vertices[2]).norm(dim=1)  # on their way to the vertex, not upon it: two of them do not meet
+    torch.testing.assert_close(stop, torch.full((2,), 0.45, dtype=torch.float64))
+    assert float((placed[0] - placed[1]).norm()) > 1e-3
 
 
-def test_mirror_and_region_together_keep_both() -> None:
-    region = BoxRegion(torch.tensor([-1.0, -3.0, -3.0]), torch.tensor([1.0, 3.0, 3.0]), (-2 * ONES, 2 * ONES))
+@given(
+    ends=st.lists(st.tuples(st.floats(-1.9, 1.9), st.floats(-1.9, 1.9)), min_size=3, max_size=3),
+    side=st.sampled_from([1.0, -1.0]),
+    count=st.integers(1, 6),
+    seed=st.integers(0, 1000),
+)
+def test_neither_centers_nor_images_sit_in_a_box(
+    ends: list[tuple[float, float]], side: float, count: int, seed: int
+) -> None:
+    """Whatever the box and the side: with three open axes there is always a way out, on the plane as well."""
+    low, high = (torch.tensor([pick(pair) for pair in ends], dtype=torch.float64) for pick in (min, max))
+    mirror = Mirror.across(1, 0.2, -2 * ONES, 2 * ONES)
+    region = BoxRegion(low, high, (-2 * ONES, 2 * ONES), mirror)
+    where = 4 * torch.rand(20, count, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) - 2
+    centers = Parameterization(mirror, side, region)(where)
+    for points in (centers, mirror.image(centers)):
+        inside = ((points > low + 1e-12) & (points < high - 1e-12)).all(-1)
+        assert not bool(inside.any())
+    assert bool((side * (centers[..., 1] - 0.2) >= 0).all())
+    if count % 2:
+        assert bool((centers[:, -1, 1] == 0.2).all())
+
+
+def test_neither_centers_nor_images_are_closest_to_a_fixed_vertex() -> None:
+    generator = torch.Generator().manual_seed(4)
+    vertices = 4 * torch.rand(300, 3, generator=generator, dtype=torch.float64) - 2
+    fixed = vertices[:, 0] > 0.5
+    region = VertexRegion(vertices, fixed, MIRROR)
+    centers = Parameterization(MIRROR, 1.0, region)(points(50, 4))
+    for where in (centers, MIRROR.image(centers)):
+        nearest = torch.cdist(where, vertices).argmin(-1)
+        assert not bool(fixed[nearest].any())
+    assert float(torch.cdist(centers, centers)[:, *torch.triu_indices(4, 4, 1)].min()) > 0
+
+
+def test_mirror_and_region_pull_gradients_back() -> None:
+    region = BoxRegion(torch.tensor([-1.0, -3.0, -3.0]), torch.tensor([1.0, 3.0, 3.0]), (-2 * ONES, 2 * ONES), MIRROR)
     place = Parameterization(MIRROR, 1.0, region)
     where = points(8, 5)
     centers = place(where)
     assert bool((centers[..., 0].abs() >= 1.0).all())
-    assert bool((centers[..., 1] >= 0.2).all())
-    assert bool((centers[:, -1, 1] == 0.2).all())
     check_pull(place, where)

@@ -38,10 +38,10 @@ def opened(path: Path) -> Iterator[Mesh]:
         UserError: if the file is missing, unreadable, of an unknown ending, or has no usable points.
     """
     ending = path.suffix.lower()
-    if ending not in ENDINGS:
-        raise UserError(f"{path}: unknown ending '{ending}'; a mesh can be {', '.join(e[1:] for e in ENDINGS)}")
     if path.is_dir():
         raise UserError(f"{path}: is a directory, not a mesh")
+    if ending not in ENDINGS:
+        raise UserError(f"{path}: unknown ending '{ending}'; a mesh can be {', '.join(e[1:] for e in ENDINGS)}")
     with contextlib.ExitStack() as stack:
         try:
             if ending in OWN:

@@ -249,6 +249,16 @@ def _fans(offsets: Any, corners: Any) -> Any:
 # --- meshio ----------------------------------------------------------------------------------------------------------
 
 
+def sixteen_characters(points: Any) -> Any:
+    """Points rounded so that each coordinate fits a large Nastran field, which meshio insists on."""
+
+    def digits(x: float) -> int:
+        return 11 - (x < 0) - (x != 0 and not 1e-9 <= abs(x) < 1e10)
+
+    rounded = [float(f"{x:.{digits(x)}e}") for x in np.asarray(points, np.float64).reshape(-1).tolist()]
+    return np.array(rounded).reshape(np.shape(points))
+
+
 class MeshioFile:
     """A mesh in one of the formats of meshio."""
 
@@ -310,8 +320,11 @@ class MeshioFile:
             options["binary"] = head[1:2] != [b"0"]
         elif file_format == "xdmf" and b'Format="HDF"' not in self._source.read_bytes():
             options["data_format"] = "XML"
+        written = copy.copy(mesh)
+        if file_format == "nastran":
+            written.points = sixteen_characters(mesh.points)
         try:
-            meshio.write(out, mesh, file_format, **options)
+            meshio.write(out, written, file_format, **options)
         except meshio.WriteError as error:
             raise ValueError(f"meshio says: {error} Convert the mesh to .vtu first") from None
         return self._losses(mesh, meshio.read(out, file_format.removesuffix("22")))

@@ -11,15 +11,17 @@ import numpy as np
 from rbfevo.errors import UserError
 from rbfevo.record import Array
 
+_SAME = 1e-6  # of the largest coordinate: spreadsheets round
 LETTERS = {"displacements": "d", "weights": "w"}
 
 
-def read_rows(path: Path, what: str, m: int, heights: bool) -> Array:
+def read_rows(path: Path, what: str, centers: Array, heights: bool) -> Array:
     """Rows [m, 3] of `what` (`displacements` or `weights`), one for each center, in their order.
 
     A CSV has three columns, or those of its header: x, y, z, also as dx, dy, dz or wx, wy, wz, and with a column
     `center` the rows may stand in any order. An NPY file holds [m, 3]; an NPZ file holds that under the name `what`.
-    With `heights` (the plane) one column is taken too: it is z.
+    Columns x, y, z beside these say where the centers [m, d] are, and are compared with them. With `heights` (the
+    plane) one column is taken too: it is z.
 
     Raises:
         UserError: if the file is missing or unreadable, has another shape, or numbers that are not finite.
@@ -32,7 +34,10 @@ def read_rows(path: Path, what: str, m: int, heights: bool) -> Array:
         raise UserError(f"--{what} {path}: cannot be read ({error})") from None
     try:
         rows = _archive(content, what) if content[:6] == b"\x93NUMPY" or content[:2] == b"PK" else _csv(content, what)
-        return _checked(rows, m, heights)
+        if rows.ndim == 2 and rows.shape[1] == 6:
+            _refuse_others(rows[:, :3], centers)
+            rows = rows[:, 3:]
+        return _checked(rows, len(centers), heights)
     except UserError as error:
         raise UserError(f"--{what} {path}: {error}") from None
     except (OSError, ValueError, KeyError, EOFError, SyntaxError, MemoryError, zipfile.BadZipFile) as error:
@@ -85,17 +90,30 @@ def _ordered(rows: Array, header: list[str], what: str) -> Array:
     other = next(name for name in LETTERS if name != what)
     if names and all(name in [LETTERS[other] + axis for axis in "xyz"] for name in names):
         raise UserError(f"its header says that it holds {other} ({', '.join(names)}): give it with --{other}")
+    own = [LETTERS[what] + axis for axis in "xyz"]
+    places = ["x", "y", "z"] if sorted(names) == sorted(["x", "y", "z", *own]) else []
+    names = own if places else names
     axes = [name.removeprefix(LETTERS[what]) for name in names]
     if sorted(axes) not in (["x", "y", "z"], ["z"]) or header.count("center") > 1:
         letter = LETTERS[what]
         raise UserError(f"its header is {','.join(header)[:80]}; center,{letter}x,{letter}y,{letter}z is expected")
     columns = [header.index(names[axes.index(axis)]) for axis in ("x", "y", "z") if axis in axes]
+    columns = [header.index(axis) for axis in places] + columns
     if "center" in header:
         number = rows[:, header.index("center")]
         if sorted(number.tolist()) != list(range(len(rows))):
             raise UserError(f"its column center does not hold each of 0 to {len(rows) - 1} once")
         rows = rows[np.argsort(number)]
     return rows[:, columns]
+
+
+def _refuse_others(places: Array, centers: Array) -> None:
+    """Raise UserError if a table is of centers that sit elsewhere: it was made for another setup."""
+    own = np.zeros((len(centers), 3))
+    own[:, : centers.shape[1]] = centers
+    near = _SAME * max(float(np.abs(own).max()), 1e-300)
+    if len(places) != len(own) or not np.allclose(places, own, rtol=0.0, atol=near):
+        raise UserError("its columns x, y, z are not where the centers of this setup are: it was made for another pick")
 
 
 def _checked(rows: Array, m: int, heights: bool) -> Array:

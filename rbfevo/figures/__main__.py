@@ -47,6 +47,9 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--no-opengl", action="store_true", help="with --only: draw surfaces without OpenGL")
     options = parser.parse_args(arguments)
+    if not options.run.is_dir():
+        print(f"rbfevo.figures: {options.run}: there is no such directory", file=sys.stderr)
+        return processes.USER_ERROR
     if options.only is None:
         outcomes = [processes.draw_one(options.run, figure) for figure in processes.figures_of(options.run)]
         for outcome in outcomes:

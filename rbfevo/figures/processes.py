@@ -14,6 +14,8 @@ FIGURES = ("front", "centers")
 FIT_FIGURES = ("fit",)
 SURFACES = ("centers", "fit")  # those that may need OpenGL
 TIMEOUT = 120.0  # seconds for one process; a 3-D picture takes some five
+TIMEOUT_PER_BYTE = 1e-5  # of scenario.npz more: a million vertices take a minute on a free machine
+TOO_LONG = -1000
 USER_ERROR = 2
 
 
@@ -36,15 +38,20 @@ def draw(run: Path) -> list[str]:
 
 def draw_one(run: Path, figure: str) -> Outcome:
     """Draw `figure` in a process of its own, and once more without OpenGL where the first attempt broke down."""
-    return draw_apart(figure, command(run, figure), figure in SURFACES)
+    try:
+        size = (run / "scenario.npz").stat().st_size
+    except OSError:
+        size = 0
+    return draw_apart(figure, command(run, figure), figure in SURFACES, TIMEOUT + TIMEOUT_PER_BYTE * size)
 
 
-def draw_apart(figure: str, words: list[str], rendered: bool) -> Outcome:
+def draw_apart(figure: str, words: list[str], rendered: bool, timeout: float = TIMEOUT) -> Outcome:
     """Run the command that draws `figure`; once more with --no-opengl if it is `rendered` and breaks down."""
-    code, reason = _attempt(words)
+    code, reason = _attempt(words, timeout)
     if code == 0:
         return Outcome(0, None)
-    if rendered and code != USER_ERROR and _attempt([*words, "--no-opengl"])[0] == 0:
+    again = rendered and code not in (USER_ERROR, TOO_LONG)  # without OpenGL it takes no less time
+    if again and _attempt([*words, "--no-opengl"], timeout)[0] == 0:
         return Outcome(0, f"{figure}.png was drawn without OpenGL: {reason}")
     return Outcome(USER_ERROR if code == USER_ERROR else 1, f"{figure}.png could not be drawn: {reason}")
 
@@ -54,7 +61,7 @@ def command(run: Path, figure: str, *options: str) -> list[str]:
     return [sys.executable, "-m", "rbfevo.figures", os.path.abspath(run), "--only", figure, *options]  # noqa: PTH100
 
 
-def _attempt(words: list[str]) -> tuple[int, str]:
+def _attempt(words: list[str], timeout: float) -> tuple[int, str]:
     """Run a command and return its exit code and, unless that is 0, the reason in one line."""
     package_root = str(Path(__file__).resolve().parents[2])
     inherited = os.environ.get("PYTHONPATH")
@@ -69,10 +76,10 @@ def _attempt(words: list[str]) -> tuple[int, str]:
                 capture_output=True,
                 text=True,
                 errors="replace",
-                timeout=TIMEOUT,
+                timeout=timeout,
             )
     except subprocess.TimeoutExpired:
-        return 1, f"nothing was there after {TIMEOUT:g} s"
+        return TOO_LONG, f"nothing was there after {timeout:g} s"
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         return 1, " ".join(str(error).split())
     if done.returncode < 0:

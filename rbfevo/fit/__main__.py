@@ -76,6 +76,11 @@ def carry_out(options: argparse.Namespace) -> int:
     say = (lambda _: None) if options.quiet else (lambda line: print(line, flush=True))
     with Interruption() as interruption, coarse():
         origin = source.rebuild(options.run, record)
+        if origin.scenario.direction_only:
+            raise UserError(
+                f"{options.run}: a sensitivity says where to move but not how far, so that there is nothing to fit; "
+                "use python -m rbfevo.export and rbfevo.apply"
+            )
         manipulation = options.manipulation or origin.manipulation
         if options.smoothness is None:
             options.smoothness = 0.0 if origin.scenario.closest is None else SMOOTHNESS

@@ -31,7 +31,7 @@ class RandomHeuristic(Heuristic):
 class LloydHeuristic(Heuristic):
     """Uniform centers by Lloyd sampling, for high regularity: the best of `starts` runs of k-means on the vertices.
 
-    Of a symmetric design it sees one half.
+    Of a symmetric design it sees one half, and no vertices where no center may sit.
     """
 
     name = "lloyd"
@@ -43,7 +43,7 @@ class LloydHeuristic(Heuristic):
 
     def place(self, problem: Problem) -> Tensor:
         """[1, m, d]."""
-        design = problem.scenario.half()
+        design = problem.scenario.half(open_only=True)
         centers = lloyd(
             design.vertices,
             problem.centers,
@@ -68,12 +68,18 @@ class OlsHeuristic(Heuristic):
         super().__init__()
         self.per_axis = at_least_one(f"{self.name}: per_axis", per_axis)
 
+    def _candidates(self, problem: Problem) -> Tensor:
+        """The grid [c, d] over the box, without the region where no center may sit."""
+        grid = grid_candidates(problem.lower, problem.upper, self.per_axis)
+        region = problem.scenario.keep_out
+        return grid if region is None else grid[~region.contains(grid)]
+
     def place(self, problem: Problem) -> Tensor:
         """[1, m, d]."""
         design = problem.scenario.half()
         centers = ols(
             kernel_columns(design.vertices, problem.kernel),
-            grid_candidates(problem.lower, problem.upper, self.per_axis),
+            self._candidates(problem),
             design.gradient,
             problem.centers,
             weights=design.weights,

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.mirror import Mirror
 from rbfevo.parameterization import BoxRegion, Region, VertexRegion
 from rbfevo.scenarios.correspondence import Mask, Points
 from rbfevo.scenarios.templates import Template
@@ -26,13 +27,14 @@ class Fixing(NamedTuple):
     words: str
 
 
-def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor) -> Fixing:
+def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor, mirror: Mirror | None = None) -> Fixing:
     """What `scenario.fixed` says of a template.
 
     Args:
         value: six numbers of a box (null: open), or the name of a point array or a file of one, where any value but 0
             marks a vertex as fixed.
         lower, upper: [3] corners of the scenario's box.
+        mirror: the symmetry plane, or None: the region where no center may sit is then symmetric.
 
     Raises:
         UserError: for anything else, or if no vertex is fixed, or every one is.
@@ -50,9 +52,9 @@ def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor) -> Fixi
     if fixed.all():
         raise UserError(f"scenario.fixed={value}: it marks every vertex, so that nothing may move")
     if low is None or high is None:
-        region: Region = VertexRegion(torch.from_numpy(template.vertices), torch.from_numpy(fixed))
+        region: Region = VertexRegion(torch.from_numpy(template.vertices), torch.from_numpy(fixed), mirror)
     else:
-        region = BoxRegion(torch.from_numpy(low), torch.from_numpy(high), (lower, upper))
+        region = BoxRegion(torch.from_numpy(low), torch.from_numpy(high), (lower, upper), mirror)
     return Fixing(fixed, region, f"{int(fixed.sum())} of {len(fixed)} vertices are fixed")
 
 

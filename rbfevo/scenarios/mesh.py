@@ -13,6 +13,7 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.kernels import length
+from rbfevo.parameterization import Region
 from rbfevo.scenarios import fixing, placement, sensitivities, topology
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.correspondence import Points, Triangles
@@ -77,8 +78,11 @@ def mesh(
     design, words = _Design.of(read, weights)
     notes |= words
     lower, upper = _box(read.vertices, margin)
+    mirror = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, design.triangles, lower, upper)
     if target is not None:
-        pairing, words = _paired(design, target, target_scale, reject)
+        if objective != "minimize" or sensitivity_kind != "nodal":
+            raise UserError("scenario.objective and scenario.sensitivity_kind belong to a sensitivity, not to a target")
+        pairing, words, warnings = _paired(design, target, target_scale, reject)
         wanted, stays = pairing.displacement, pairing.rejected
     else:
         pairing = None
@@ -87,11 +91,12 @@ def mesh(
             raise UserError(f"scenario.sensitivity={sensitivity}: it is zero at every vertex: nothing wants to move")
         wanted = sensitivities.wanted(values, design.normals, design.areas, design.mass, sensitivity_kind, objective)
         stays = np.zeros(len(wanted), bool)
+        warnings = _doubts(design, str(template), str(sensitivity), read, values)
         words = {"sensitivity": _convention(str(sensitivity), values, sensitivity_kind, objective)}
     notes |= words
-    region = None
+    region: Region | None = None
     if fixed is not None:
-        held = fixing.fixing(fixed, read, lower, upper)
+        held = fixing.fixing(fixed, read, lower, upper, mirror)
         stays, wanted = stays | held.fixed, np.where(held.fixed[:, None], 0.0, wanted)
         region = held.region if keep_out else None
         notes["fixed"] = held.words + (", and centers are kept out of them" if keep_out else "")
@@ -102,10 +107,9 @@ def mesh(
 
     vertices, faces, mass = (torch.from_numpy(part) for part in (read.vertices, design.triangles, design.mass))
     gradient, norm = unit_gradient(torch.from_numpy(wanted), mass)
-    mirror, warnings = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, lower, upper), []
     if mirror is not None:
-        words, warnings = symmetry_plane.words(mirror, read.vertices, design.triangles, gradient.numpy(), design.mass)
-        notes |= words
+        words, more = symmetry_plane.words(mirror, read.vertices, design.triangles, gradient.numpy(), design.mass)
+        notes, warnings = notes | words, warnings + more
     return Scenario(
         name="mesh",
         vertices=vertices,
@@ -115,7 +119,7 @@ def mesh(
         lower=lower,
         upper=upper,
         support=length("scenario.support", support, float((upper - lower).norm())),
-        sample=_sampler(vertices, faces),
+        sample=_sampler(vertices, _open_faces(vertices, faces, region)),
         gradient_norm=norm,
         notes=notes,
         warnings=warnings,
@@ -187,7 +191,9 @@ def _box(vertices: Points, margin: float) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(low - around), torch.from_numpy(high + around)
 
 
-def _paired(design: _Design, target: str, scale: float | None, reject: str) -> tuple[Pairing, dict[str, str]]:
+def _paired(
+    design: _Design, target: str, scale: float | None, reject: str
+) -> tuple[Pairing, dict[str, str], list[str]]:
     """Pairs of the design's vertices with the target, once its units are not in doubt."""
     points, triangles = read_surface(target)
     if scale is not None and not (math.isfinite(scale) and scale > 0):
@@ -210,9 +216,26 @@ def _paired(design: _Design, target: str, scale: float | None, reject: str) -> t
     apart = np.maximum(
         points.min(axis=0) - design.vertices.max(axis=0), design.vertices.min(axis=0) - points.max(axis=0)
     )
+    warnings = []
     if apart.max() > mine:
-        notes["apart"] = f"the target lies {apart.max():.3g} away from the template: are they in the same frame?"
-    return found, notes
+        warnings.append(f"the target lies {apart.max():.3g} away from the template: are they in the same frame?")
+    return found, notes, warnings
+
+
+def _doubts(design: _Design, template: str, source: str, read: Template, values: NDArray[np.float64]) -> list[str]:
+    """Warnings about a sensitivity whose side or order of rows cannot be told from the files."""
+    said = []
+    if values.ndim == 1 and topology.inward(design.vertices, design.triangles):
+        said.append(
+            f"{template}: the surface is open and its triangles are wound so that normals point inwards, where "
+            "they are taken for outwards: turn the triangles, or use scenario.objective=maximize"
+        )
+    if template.lower().endswith(".stl") and source not in read.arrays:
+        said.append(
+            f"{source}: an STL file has no order of vertices; its rows are taken in the order in which the file first "
+            "names each vertex. A VTP file with the array in it leaves no doubt"
+        )
+    return said
 
 
 def _nearest_unit(factor: float) -> float:
@@ -224,6 +247,16 @@ def _convention(source: str, values: NDArray[np.float64], kind: str, objective: 
     form = "one value a vertex, along its normal" if values.ndim == 1 else "three components a vertex"
     way = "against" if objective == "minimize" else "along"
     return f"{source}: {form}, {kind}; the objective is to {objective}, the design wants to move {way} it"
+
+
+def _open_faces(vertices: Tensor, faces: Tensor, region: Region | None) -> Tensor:
+    """The triangles that centers may be drawn on: all, or those with no corner in the region where none may sit."""
+    if region is None:
+        return faces
+    kept = faces[~region.contains(vertices)[faces].any(dim=1)]
+    if not len(kept):
+        raise UserError("scenario.keep_out=true leaves no triangle that a center may sit on")
+    return kept
 
 
 def _sampler(vertices: Tensor, faces: Tensor) -> Sampler:

@@ -108,15 +108,20 @@ class Scenario:
         """What makes setups of points in the box."""
         return Parameterization(self.mirror, self.side, self.keep_out)
 
-    def half(self) -> Scenario:
+    def half(self, open_only: bool = False) -> Scenario:
         """The design on the centers' side of the mirror, plane included; the whole one where there is no mirror.
 
-        Where nothing lies on that side, the whole one too. It has no faces.
+        With `open_only`, without the vertices in the region where no center may sit. Where nothing is left that wants
+        to move, the whole design. It has no faces.
         """
-        if self.mirror is None:
+        if self.mirror is None and not (open_only and self.keep_out is not None):
             return self
-        height = self.side * (self.vertices[:, self.mirror.axis] - self.mirror.at)
-        kept = height >= -self.mirror.tolerance
+        kept = torch.ones_like(self.weights, dtype=torch.bool)
+        if self.mirror is not None:
+            height = self.side * (self.vertices[:, self.mirror.axis] - self.mirror.at)
+            kept = height >= -self.mirror.tolerance
+        if open_only and self.keep_out is not None:
+            kept &= ~self.keep_out.contains(self.vertices)
         parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in ("vertices", "gradient", "weights")}
         if not bool((parts["gradient"] != 0).any()):
             return self

@@ -11,17 +11,26 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.mirror import Mirror
 from rbfevo.scenarios.correspondence import Points, Triangles, closest_on_surface
+from rbfevo.scenarios.topology import rim
 
 LOOKED_AT = 20_000  # vertices: enough to tell how symmetric a mesh is
 LOPSIDED = 0.01  # of the box's diagonal
+MOST_OF_RIM, FLAT_RIM = 0.8, 1e-6  # of the open boundary's vertices; of the diagonal
+HOPELESS = 0.999  # of |g|^2
 ONE_SIDED = 0.02  # of the vertices on the side that has fewer: half a model
 
 
-def mirror_of(axis: str | None, at: float | None, vertices: Points, lower: Tensor, upper: Tensor) -> Mirror | None:
-    """The plane that `scenario.symmetry` and `scenario.symmetry_at` ask for; `at` null is the middle of the vertices.
+def mirror_of(
+    axis: str | None, at: float | None, vertices: Points, triangles: Triangles, lower: Tensor, upper: Tensor
+) -> Mirror | None:
+    """The plane that `scenario.symmetry` and `scenario.symmetry_at` ask for.
+
+    Where `at` is null it goes through the open side of half a model, if the template is one (most of its open boundary
+    lies in one plane at its end), else through the middle of the vertices.
 
     Raises:
-        UserError: for another axis, `at` without an axis, or a plane that does not cross the box.
+        UserError: for another axis, `at` without an axis, a plane that does not cross the box, or one that holds the
+            whole template.
     """
     if axis is None:
         if at is not None:
@@ -30,14 +39,26 @@ def mirror_of(axis: str | None, at: float | None, vertices: Points, lower: Tenso
     if axis not in ("x", "y", "z"):
         raise UserError(f"scenario.symmetry={axis}: choose x, y or z, the axis across the plane, or null")
     number = "xyz".index(axis)
-    middle = float(vertices[:, number].min() + vertices[:, number].max()) / 2.0
-    return Mirror.across(number, middle if at is None else at, lower, upper)
+    low, high = float(vertices[:, number].min()), float(vertices[:, number].max())
+    if at is None:
+        border = vertices[rim(vertices, triangles), number]
+        near = FLAT_RIM * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        cut = [end for end in (low, high) if border.size and (np.abs(border - end) <= near).mean() >= MOST_OF_RIM]
+        at = cut[0] if len(cut) == 1 else (low + high) / 2.0
+    mirror = Mirror.across(number, at, lower, upper)
+    if max(high - at, at - low) <= mirror.tolerance:
+        raise UserError(f"scenario.symmetry={axis}: the whole template lies in the plane {axis} = {at:g}")
+    return mirror
 
 
 def words(
     mirror: Mirror, vertices: Points, triangles: Triangles, gradient: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> tuple[dict[str, str], list[str]]:
-    """Notes, and warnings: how far mirror images lie from the surface, how much of g [n, 3] is not symmetric."""
+    """Notes, and warnings: how far mirror images lie from the surface, how much of g [n, 3] is not symmetric.
+
+    Raises:
+        UserError: if nothing of g is symmetric.
+    """
     name = f"{'xyz'[mirror.axis]} = {mirror.at:g}"
     heights = vertices[:, mirror.axis] - mirror.at
     beyond = np.sort([(heights > mirror.tolerance).sum(), (heights < -mirror.tolerance).sum()])
@@ -54,6 +75,11 @@ def words(
     turned[:, mirror.axis] *= -1.0
     odd = (weights[some, None] * ((gradient[some] - turned) / 2.0) ** 2).sum()
     share = float(odd / max((weights[some, None] * gradient[some] ** 2).sum(), np.finfo(float).tiny))
+    if share > HOPELESS:
+        raise UserError(
+            f"symmetry about {name}: what the template wants is antisymmetric, so that no symmetric setup can do any "
+            "of it; check scenario.symmetry and scenario.symmetry_at"
+        )
     notes = {
         "symmetry": f"about {name}: mirror images lie within {distance:.3g} of the surface; {share:.1%} of |g|^2 is "
         "not symmetric, and out of reach"

@@ -13,6 +13,7 @@ from rbfevo.scenarios.contents import Points, Triangles
 from rbfevo.scenarios.crossings import piercing_edges
 
 MOST_TRIANGLES = 200_000  # looked at for crossings
+_FLAT = 1e-3  # volume over area^1.5, below which a surface has no inside; a ball has 0.094
 _SHELLS = 100  # closed pieces, the largest, that others may lie within
 
 
@@ -93,6 +94,26 @@ def oriented(vertices: Points, triangles: Triangles) -> tuple[Triangles, int]:
     inward = _volumes(vertices, wound, piece, count) < 0.0
     reverse = np.where(lonely, 2 * turns > sizes, inward)[piece]
     return np.where(reverse[:, None], wound[:, ::-1], wound), int((turned ^ reverse).sum())
+
+
+def inward(vertices: Points, triangles: Triangles) -> bool:
+    """Tell whether an open surface is wound with its normals inwards, once its holes are closed towards their middle.
+
+    False for closed surfaces, and where that leaves no volume to speak of, as with a flat sheet.
+    """
+    border = rim(vertices, triangles)
+    if not border.size:
+        return False
+    a, b, c = np.moveaxis(vertices[triangles] - vertices[border].mean(axis=0), 1, 0)
+    volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
+    area = float(np.linalg.norm(_doubled_areas(vertices, triangles), axis=1).sum()) / 2.0
+    return volume < -_FLAT * area**1.5
+
+
+def rim(vertices: Points, triangles: Triangles) -> NDArray[np.int64]:
+    """Return the vertices [r] on the open boundary, at edges of one triangle only."""
+    edges = _edges(len(vertices), triangles)
+    return np.unique(edges.ends[edges.uses == 1])
 
 
 def vertex_normals(vertices: Points, triangles: Triangles) -> Points:

@@ -107,12 +107,13 @@ def _columns(element: dict[str, Any]) -> list[str]:
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
     """Keep trimesh from warning and logging about a file whose faults are reported in one line."""
-    log = logging.getLogger("trimesh")
-    disabled, log.disabled = log.disabled, True
+    log = logging.getLogger("trimesh")  # its modules' loggers take their level from it
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             with np.errstate(all="ignore"):
                 yield
     finally:
-        log.disabled = disabled
+        log.setLevel(level)
