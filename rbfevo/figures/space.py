@@ -28,6 +28,9 @@ ONE_STEP = 0.05  # the same for a sensitivity
 def rows(record: Record, choices: list[Choice], opengl: bool) -> tuple[list[Row], float]:
     """Return the rows of panels for `choices`, by OpenGL or by matplotlib alone, and their height in inches."""
     unit = "local error [model units]" if record.gradient_norm else "local error (unit norm)"
+    first = "initial local error"
+    if record.summary.get("gradient_is") == "direction":
+        unit, first = "unit norm", "wanted by the sensitivity"
     scale = record.gradient_norm or 1.0
     errors = local_error(record.gradient)
     known = all(choice.reached is not None for choice in choices)
@@ -46,7 +49,7 @@ def rows(record: Record, choices: list[Choice], opengl: bool) -> tuple[list[Row]
 
     colors = Colors(Normalize(0.0, scale * float(errors.max())), style.ERROR)
     initial = colors.rgb(scale * errors)
-    made = [Row("initial local error", panel(lambda _: initial), colors, unit)]
+    made = [Row(first, panel(lambda _: initial), colors, unit)]
     if known:
         highest = scale * max(float(error.max()) for error in left.values())
         colors = Colors(Normalize(0.0, highest or 1.0), style.ERROR)
