@@ -548,5 +548,10 @@ def test_redrawing_what_is_not_a_run_exits_with_2(tmp_path, monkeypatch, capsys)
     monkeypatch.setattr(processes, "FIGURES", ("centers",))
     assert command_line.main([str(tmp_path / "nowhere")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("rbfevo.figures: ")
+    assert "there is no such directory" in line
+    (tmp_path / "empty").mkdir()
+    assert command_line.main([str(tmp_path / "empty")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("centers.png could not be drawn: ")
     assert "setups.npz is missing" in line
