@@ -1,7 +1,7 @@
 """Pictures of docs/car.md: `python docs/car/picture.py CAR EXPORT DEFORMED OUT.png`, off-screen.
 
 Left: the body, its wanted displacement (what the sensitivity asks for, wheels fixed) and the control points with the
-way each is to go. Right: the deformed body, coloured by how far it moved.
+way each is to go (four times as long). Right: the deformed body, coloured by how far it moved.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def main(car: Path, export: Path, deformed: Path, out: Path) -> None:
         plotter.add_mesh(surface, scalars=name, cmap=colors, smooth_shading=True, scalar_bar_args=bars)
         if column == 0:
             plotter.add_mesh(centers.glyph(geom=pv.Sphere(radius=0.035), scale=False, orient=False), color="#d7301f")
-            arrows = centers.glyph(orient="displacement", scale="displacement", factor=1.0, geom=THIN)
+            arrows = centers.glyph(orient="displacement", scale="displacement", factor=4.0, geom=THIN)
             plotter.add_mesh(arrows, color="black")
         plotter.camera_position = [(-7.5, -9.5, 5.5), (-0.1, 0.0, 0.55), (0.0, 0.0, 1.0)]
         plotter.camera.zoom(1.9)
