@@ -54,7 +54,7 @@ def read_template(path: str | Path) -> Template:
     points, triangles, notes = contents.points, contents.triangles, dict(contents.notes)
     if triangles is None:
         raise UserError(
-            f"{path}: holds {len(points)} points but no faces: a cloud, or a damaged file? A surface with faces is wanted"
+            f"{path}: holds {len(points)} points but no faces (a cloud, or damaged?); a surface with faces is wanted"
         )
     if path.suffix.lower() == ".stl":
         notes["merged vertices"] = f"{len(points)} points of the STL file, exactly equal ones merged"
