@@ -87,9 +87,10 @@ def plain_scores(files: dict[str, np.ndarray], setup: np.ndarray, kernel: str, d
     return every.min() / every.max(), 1 - rest
 
 
-@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
-    ("kernel", "manipulation"), [("wendland", "indirect"), ("wendland", "direct"), ("triharmonic", "direct")]
+    ("method", "kernel", "manipulation"),
+    [(method, "wendland", "indirect") for method in METHODS]
+    + [("gradient", "wendland", "direct"), ("gradient", "triharmonic", "direct"), ("cmaes", "triharmonic", "indirect")],
 )
 def test_saved_scores_of_symmetric_setups_are_those_of_a_plain_svd(
     method: str, kernel: str, manipulation: str, template: Path, tmp_path: Path
