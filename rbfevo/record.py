@@ -94,7 +94,8 @@ def read(run: Path) -> Record:
     """
     if not run.is_dir():
         raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
-    setups, scenario = _arrays(run / "setups.npz", SETUPS), _arrays(run / "scenario.npz", SCENARIO)
+    setups, scenario = _arrays(run / "setups.npz", SETUPS), _arrays(run / "scenario.npz", SCENARIO, ("stays",))
+    stays = scenario.pop("stays", None)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
     p, n = len(setups["regularity"]), len(scenario["vertices"])
     fitting = (
@@ -103,14 +104,13 @@ def read(run: Path) -> Record:
         and setups["centers"].shape[2] == scenario["vertices"].shape[1]
         and scenario["gradient"].ndim == 2
         and all(len(scenario[key]) == n for key in ("gradient", "weights"))
+        and (stays is None or stays.shape == (n,))
         and isinstance(summary, dict)
     )
     if not fitting:
         raise UserError(f"{run}: setups.npz, scenario.npz and summary.json do not fit together")
     setups["method"], setups["nondominated"] = setups["method"].astype(str), setups["nondominated"].astype(bool)
-    with np.load(run / "scenario.npz", allow_pickle=False) as archive:
-        stays = archive["stays"].astype(bool) if "stays" in archive and archive["stays"].shape == (n,) else None
-    return Record(**setups, **scenario, summary=summary, stays=stays)
+    return Record(**setups, **scenario, summary=summary, stays=None if stays is None else stays.astype(bool))
 
 
 FIT = ("centers", "parameters", "deformed", "local_error", "moved_centers")
@@ -171,10 +171,10 @@ def knee(record: Record) -> int | None:
     return int(rows[np.flatnonzero(distance >= distance.max() - 1e-12)[0]])
 
 
-def _arrays(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
+def _arrays(path: Path, names: tuple[str, ...], if_there: tuple[str, ...] = ()) -> dict[str, Array]:
     def load(path: Path) -> dict[str, Array]:
         with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in names}
+            return {name: archive[name] for name in (*names, *(name for name in if_there if name in archive))}
 
     return _load(path, load)
 

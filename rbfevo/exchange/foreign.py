@@ -53,7 +53,8 @@ def foreign(kind: str, path: Path) -> Iterator[Mesh]:
 
 
 def _reply(process: subprocess.Popen[bytes], kind: str, patience: float) -> dict[str, Any]:
-    assert process.stdout is not None
+    if process.stdout is None:
+        raise ValueError("the process that reads it has no output")
     name, late = {"vtk": "VTK", "meshio": "meshio"}[kind], threading.Event()
 
     def stop() -> None:
@@ -78,7 +79,8 @@ def _reply(process: subprocess.Popen[bytes], kind: str, patience: float) -> dict
 def _write(
     process: subprocess.Popen[bytes], arrays: dict[str, Any], out: Path, kind: str, patience: float
 ) -> list[str]:
-    assert process.stdin is not None
+    if process.stdin is None:
+        raise ValueError("the process that writes it has no input")
     with _beside(out) as place:
         try:
             program.send(process.stdin, {**arrays, "out": str(place)})

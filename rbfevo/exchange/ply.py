@@ -144,7 +144,8 @@ def _binary(content: bytes, start: int, order: str, elements: list[Element], not
             polygons = found if element.name == "face" else polygons
         if offset > len(content):
             raise FormatError("cut off: elements are missing")
-    assert where is not None
+    if where is None:
+        raise FormatError("it announces no vertices")
     begin, row, count = where
     vertices = np.frombuffer(content, row, count, begin)
     points = np.stack([vertices[axis].astype(np.float64) for axis in "xyz"], axis=1)

@@ -146,9 +146,10 @@ class _Design:
 
     @staticmethod
     def of(template: Template, weights: str) -> tuple[_Design, dict[str, str]]:
-        vertices = template.vertices
-        notes = topology.words(vertices, template.triangles)
-        triangles, turned = topology.oriented(vertices, template.triangles)
+        """The design of a template, and what is odd about its surface in words."""
+        vertices, edges = template.vertices, topology.edges_of(len(template.vertices), template.triangles)
+        notes = topology.words(vertices, template.triangles, edges)
+        triangles, turned = topology.oriented(vertices, template.triangles, edges)
         if turned:
             notes["winding"] = f"{turned} triangles are turned, so that all normals point to one side"
         areas = topology.vertex_areas(vertices, triangles)

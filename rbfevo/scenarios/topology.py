@@ -17,15 +17,16 @@ _FLAT = 1e-3  # volume over area^1.5, below which a surface has no inside; a bal
 _SHELLS = 100  # closed pieces, the largest, that others may lie within
 
 
-def words(vertices: Points, triangles: Triangles) -> dict[str, str]:
+def words(vertices: Points, triangles: Triangles, edges: Edges | None = None) -> dict[str, str]:
     """Return one line for each oddity of a mesh that does no harm but may be unintended; nothing if all is well.
 
     Keys: `open boundary`, `non-manifold edges`, `pieces` (by shared vertices), `winding`, `inside out`, `crossings`.
 
     Args:
         vertices: [n, 3]; triangles: [f, 3], none with a corner twice.
+        edges: those of the mesh, where they are known already.
     """
-    edges, said = _edges(len(vertices), triangles), {}
+    edges, said = edges or edges_of(len(vertices), triangles), {}
     if border := int((edges.uses == 1).sum()):
         said["open boundary"] = f"{border} of {len(edges.uses)} edges belong to one triangle only"
     if crowded := int((edges.uses > 2).sum()):
@@ -56,14 +57,14 @@ def words(vertices: Points, triangles: Triangles) -> dict[str, str]:
     return said
 
 
-def oriented(vertices: Points, triangles: Triangles) -> tuple[Triangles, int]:
+def oriented(vertices: Points, triangles: Triangles, edges: Edges | None = None) -> tuple[Triangles, int]:
     """Wind triangles [f, 3] as their neighbours are; return them and how many were turned.
 
     Neighbours are the two triangles at an edge that has no third. Of a closed piece the normals point outward, of an
     open one, and of one within another, which may be the wall of a cavity, as those of most of its triangles do. A
     one-sided piece keeps edges where the winding clashes.
     """
-    edges, f = _edges(len(vertices), triangles), len(triangles)
+    edges, f = edges or edges_of(len(vertices), triangles), len(triangles)
     pairs, same = edges.neighbours()
     keys, first = np.unique(pairs[:, 0] * f + pairs[:, 1], return_index=True)
     one, other = np.divmod(keys, f)
@@ -112,7 +113,7 @@ def inward(vertices: Points, triangles: Triangles) -> bool:
 
 def rim(vertices: Points, triangles: Triangles) -> NDArray[np.int64]:
     """Return the vertices [r] on the open boundary, at edges of one triangle only."""
-    edges = _edges(len(vertices), triangles)
+    edges = edges_of(len(vertices), triangles)
     return np.unique(edges.ends[edges.uses == 1])
 
 
@@ -131,7 +132,7 @@ def vertex_areas(vertices: Points, triangles: Triangles) -> NDArray[np.float64]:
 
 
 @dataclasses.dataclass(frozen=True)
-class _Edges:
+class Edges:
     """Edges [e] of a mesh, and its half edges [3 f], three for each triangle in turn.
 
     ends: [e, 2] vertices, ascending. uses: [e] triangles at the edge. balance: [e] how many more of them run up from
@@ -153,7 +154,8 @@ class _Edges:
         return pairs, self.up[paired[:, 0]] != self.up[paired[:, 1]]
 
 
-def _edges(n: int, triangles: Triangles) -> _Edges:
+def edges_of(n: int, triangles: Triangles) -> Edges:
+    """The edges of triangles [f, 3] among n vertices."""
     start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
     up = start < end
     keys, index, uses = np.unique(
@@ -161,7 +163,7 @@ def _edges(n: int, triangles: Triangles) -> _Edges:
     )
     balance = np.bincount(index, np.where(up, 1, -1), minlength=len(keys)).astype(np.int64)
     ends = np.stack(np.divmod(keys, n), axis=1)
-    return _Edges(ends, uses, balance, index, np.repeat(np.arange(len(triangles)), 3), up)
+    return Edges(ends, uses, balance, index, np.repeat(np.arange(len(triangles)), 3), up)
 
 
 def _pieces(n: int, ends: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:
