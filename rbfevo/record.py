@@ -33,6 +33,7 @@ class Record:
         lower, upper: [d] corners of the box.
         summary: summary.json.
         stays: [n] bool, vertices that are to stay where they are; None if the run did not say.
+        variability: [p] rank(U)/n; None if the run did not say.
     """
 
     centers: Array
@@ -49,6 +50,7 @@ class Record:
     upper: Array
     summary: dict[str, Any]
     stays: Array | None = None
+    variability: Array | None = None
 
     @property
     def scored(self) -> Array:
@@ -94,13 +96,14 @@ def read(run: Path) -> Record:
     """
     if not run.is_dir():
         raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
-    setups, scenario = _arrays(run / "setups.npz", SETUPS), _arrays(run / "scenario.npz", SCENARIO, ("stays",))
+    setups = _arrays(run / "setups.npz", SETUPS, ("variability",))
+    scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays",))
     stays = scenario.pop("stays", None)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
     p, n = len(setups["regularity"]), len(scenario["vertices"])
     fitting = (
         setups["centers"].ndim == 3
-        and all(len(setups[key]) == p for key in SETUPS)
+        and all(len(array) == p for array in setups.values())
         and setups["centers"].shape[2] == scenario["vertices"].shape[1]
         and scenario["gradient"].ndim == 2
         and all(len(scenario[key]) == n for key in ("gradient", "weights"))

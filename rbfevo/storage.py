@@ -28,7 +28,10 @@ __all__ = [
     "write_whole",
 ]
 
-RESULTS = ("setups.npz", "setups.csv", "history.csv", "scenario.npz", "summary.json", "front.png", "centers.png")
+RESULTS = (
+    *("setups.npz", "setups.csv", "history.csv", "scenario.npz", "summary.json"),
+    *("front.png", "centers.png", "report.html"),
+)
 
 
 def refuse_results(directory: Path, names: Sequence[str] = RESULTS, option: str = "hydra.run.dir") -> None:

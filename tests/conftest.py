@@ -4,9 +4,16 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is first imported
 
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import browsers
 import hypothesis
 import pytest
 import torch
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 
 def pytest_configure() -> None:
@@ -18,3 +25,9 @@ def pytest_configure() -> None:
 def one_thread() -> None:
     """Start every test with one thread, whatever the one before has set."""
     torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="session")
+def browser() -> "Iterator[Browser]":
+    """A browser without a window; tests that want one skip where there is none."""
+    yield from browsers.started()

@@ -429,9 +429,9 @@ def leftovers(run: Path) -> set[str]:
     return {path.name for path in run.iterdir()} - {"setups.npz", "scenario.npz", "summary.json"}
 
 
-def test_a_run_gets_both_pictures(tmp_path):
+def test_a_run_gets_both_pictures_and_a_page(tmp_path):
     assert figures.draw(write(tmp_path)) == []
-    assert leftovers(tmp_path) == {"front.png", "centers.png"}
+    assert leftovers(tmp_path) == {"front.png", "centers.png", "report.html"}
     assert is_picture(tmp_path / "front.png")
     assert is_picture(tmp_path / "centers.png")
     for color in set(SERIES.values()):

@@ -1,4 +1,4 @@
-"""`python -m rbfevo.figures DIR` redraws front.png and centers.png of a run, or fit.png of a fit."""
+"""`python -m rbfevo.figures DIR` redraws front.png, centers.png and report.html of a run, or fit.png of a fit."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 
 from rbfevo.errors import UserError
 from rbfevo.figures import processes
-from rbfevo.record import FitRecord, read, read_fit
+from rbfevo.files import write_whole
+from rbfevo.record import FitRecord, Record, read, read_fit
 
 
 def draw_here(run: Path, figure: str, opengl: bool) -> None:
@@ -19,6 +20,11 @@ def draw_here(run: Path, figure: str, opengl: bool) -> None:
         OSError: if the picture cannot be written.
     """
     record = read_fit(run) if figure == "fit" else read(run)
+    if figure == "report" and isinstance(record, Record):
+        from rbfevo.figures.report import page
+
+        write_whole(run / processes.file_of(figure), page(record, run).encode())
+        return
     from rbfevo.figures import style  # matplotlib takes a while: only once there is something to draw
 
     if isinstance(record, FitRecord):
@@ -33,7 +39,7 @@ def draw_here(run: Path, figure: str, opengl: bool) -> None:
         from rbfevo.figures import centers
 
         picture = centers.picture(record, opengl=opengl)
-    style.save(picture, run / f"{figure}.png")
+    style.save(picture, run / processes.file_of(figure))
 
 
 def main(arguments: list[str] | None = None) -> int:

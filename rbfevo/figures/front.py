@@ -10,21 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
 
 from rbfevo.figures import style
+from rbfevo.figures.series import HEURISTICS, Series, kinds, series
 from rbfevo.record import Array, Record, knee
 
 DECADES = 2.0  # a regularity that spans more than this is drawn on a logarithmic axis
-
-
-class Series(NamedTuple):
-    """How the setups of one kind are drawn."""
-
-    label: str
-    color: str
-    marker: str
-    size: float
-    order: int
-    filled: bool = True
-    edge: float = 0.4  # points
 
 
 class Scale(NamedTuple):
@@ -46,48 +35,20 @@ def picture(record: Record) -> Figure:
     with style.typography():
         figure = Figure(figsize=(7.6, 4.7))
         axes = figure.add_axes((0.095, 0.125, 0.62, 0.735))
-        searched = record.scored & ~np.isin(record.method, ("random", "lloyd", "ols"))
+        searched = record.scored & ~np.isin(record.method, HEURISTICS)
         scale = scale_of(record.regularity[record.scored], record.regularity[searched])
         prepare(axes, scale, record.improvement_potential[record.scored])
         front = record.front
         staircase(axes, scale, record.regularity[front], record.improvement_potential[front])
-        kinds = [(_series(record, *kind), rows) for kind, rows in _kinds(record).items()]
-        for series, rows in sorted(kinds, key=lambda kind: kind[0].order):
-            mark(axes, scale, series, record.regularity[rows], record.improvement_potential[rows])
+        shown = [(series(record, *kind), rows) for kind, rows in kinds(record).items()]
+        for look, rows in sorted(shown, key=lambda kind: kind[0].order):
+            mark(axes, scale, look, record.regularity[rows], record.improvement_potential[rows])
         _mark_knee(axes, scale, record)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.015), handletextpad=0.4, labelspacing=0.75)
         figure.text(0.095, 0.945, record.title, fontsize=12, weight="bold", va="center")
         figure.text(0.095, 0.895, _subtitle(record), color=style.GREY, va="center")
     return figure
-
-
-def _kinds(record: Record) -> dict[tuple[str, bool], list[int]]:
-    """Rows with scores by (method, has a preference)."""
-    kinds: dict[tuple[str, bool], list[int]] = {}
-    for row in np.flatnonzero(record.scored):
-        key = (str(record.method[row]), bool(np.isfinite(record.preference[row])))
-        kinds.setdefault(key, []).append(int(row))
-    return kinds
-
-
-def _series(record: Record, method: str, preferred: bool) -> Series:
-    """Colours and marks of the paper; what the paper does not have keeps its colour and changes its mark."""
-    if preferred:
-        return Series(f"preferences ({method})", style.MAGENTA, "^", 52, 5)
-    if method in ("nsga2", "gradient"):
-        second = method == "gradient" and "nsga2" in record.method
-        return Series(f"front ({method})", style.BLUE, "o", 24, 4, filled=not second)
-    if method == "random":
-        searched = bool((record.method != "random").any())
-        return Series("initial population" if searched else "random setups", style.GREEN, "o", 20, 3)
-    if method == "cmaes":
-        return Series("preferences (cmaes)", style.MAGENTA, "^", 52, 5)
-    if method == "lloyd":
-        return Series("Lloyd", style.ORANGE, "o", 84, 6)
-    if method == "ols":
-        return Series("OLS", style.ORANGE, "D", 66, 6)
-    return Series(method, style.GREY, "s", 30, 5)
 
 
 def scale_of(regularity: Array, found: Array) -> Scale:
@@ -139,18 +100,18 @@ def prepare(axes: Axes, scale: Scale, potential: Array) -> None:
         axes.annotate("R = 0", (scale.zero, 0), (0, -5), **place)
 
 
-def mark(axes: Axes, scale: Scale, series: Series, regularity: Array, potential: Array) -> None:
+def mark(axes: Axes, scale: Scale, look: Series, regularity: Array, potential: Array) -> None:
     """Put a mark where each setup [p] of a series stands."""
     axes.scatter(
         scale.place(regularity),
         potential,
-        s=series.size,
-        marker=series.marker,
-        facecolor=series.color if series.filled else "white",
-        edgecolor="white" if series.filled else series.color,
-        linewidth=series.edge if series.filled else 1.0,
-        zorder=series.order,
-        label=series.label,
+        s=look.size,
+        marker=look.marker,
+        facecolor=look.color if look.filled else "white",
+        edgecolor="white" if look.filled else look.color,
+        linewidth=look.edge if look.filled else 1.0,
+        zorder=look.order,
+        label=look.label,
         clip_on=False,
     )
 

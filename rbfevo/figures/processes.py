@@ -10,8 +10,9 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
-FIGURES = ("front", "centers")
+FIGURES = ("front", "centers", "report")
 FIT_FIGURES = ("fit",)
+PAGES = ("report",)  # HTML; all others are PNG
 SURFACES = ("centers", "fit")  # those that may need OpenGL
 TIMEOUT = 120.0  # seconds for one process; a 3-D picture takes some five
 TIMEOUT_PER_BYTE = 1e-5  # of scenario.npz more: a million vertices take a minute on a free machine
@@ -29,6 +30,11 @@ class Outcome(NamedTuple):
 def figures_of(run: Path) -> tuple[str, ...]:
     """The figures of a directory: those of a fit where there is a fit.json, else those of a run."""
     return FIT_FIGURES if (run / "fit.json").exists() else FIGURES
+
+
+def file_of(figure: str) -> str:
+    """The name of the file of a figure."""
+    return f"{figure}.html" if figure in PAGES else f"{figure}.png"
 
 
 def draw(run: Path) -> list[str]:
@@ -52,8 +58,8 @@ def draw_apart(figure: str, words: list[str], rendered: bool, timeout: float = T
         return Outcome(0, None)
     again = rendered and code not in (USER_ERROR, TOO_LONG)  # without OpenGL it takes no less time
     if again and _attempt([*words, "--no-opengl"], timeout)[0] == 0:
-        return Outcome(0, f"{figure}.png was drawn without OpenGL: {reason}")
-    return Outcome(USER_ERROR if code == USER_ERROR else 1, f"{figure}.png could not be drawn: {reason}")
+        return Outcome(0, f"{file_of(figure)} was drawn without OpenGL: {reason}")
+    return Outcome(USER_ERROR if code == USER_ERROR else 1, f"{file_of(figure)} could not be drawn: {reason}")
 
 
 def command(run: Path, figure: str, *options: str) -> list[str]:

@@ -37,10 +37,10 @@ def rows(record: Record, choices: list[Choice], opengl: bool) -> tuple[list[Row]
     left = {
         choice.index: local_error(record.gradient - choice.reached) for choice in choices if choice.reached is not None
     }
-    stretch, remark = _stretch(record, errors)
+    factor, remark = stretch(record, errors)
     shapes = {}
     if known and record.gradient.shape[1] == 3:
-        shapes = {choice.index: record.vertices + stretch * np.asarray(choice.reached) for choice in choices}
+        shapes = {choice.index: record.vertices + factor * np.asarray(choice.reached) for choice in choices}
     centers = [_with_images(record, choice.index) for choice in choices]
     diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
     radius = 0.0125 * diagonal * min(1.0, np.sqrt(25 / record.centers.shape[1]))
@@ -69,7 +69,7 @@ def _with_images(record: Record, index: int) -> Array:
         return record.centers[index]
 
 
-def _stretch(record: Record, errors: Array) -> tuple[float, str]:
+def stretch(record: Record, errors: Array) -> tuple[float, str]:
     """Return the factor from the unit gradient to the displacement shown, and a remark where it is not the true one."""
     largest, diagonal = float(errors.max()), float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
     true = record.gradient_norm

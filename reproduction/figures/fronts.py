@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from benchmarks.panels import Panel
 from rbfevo.deformation import MANIPULATIONS
 from rbfevo.figures import front, style
-from rbfevo.figures.front import Series
+from rbfevo.figures.series import Series
 from rbfevo.pareto import hypervolume
 from reproduction.figures import wording
 from reproduction.figures.layout import Sheet, blank

@@ -1,0 +1,78 @@
+"""`python -m rbfevo.collect DIR`: all runs of a sweep in two tables, and which setting is best for the mesh."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rbfevo import sweep
+from rbfevo.errors import UserError
+from rbfevo.exchange import command
+from rbfevo.figures.report import page_of_sweep
+from rbfevo.files import write_whole
+
+DESCRIPTION = """Collect the runs at and below a directory, and say which setting is best for their mesh.
+
+runs.csv     a line for each run and each of its series (all its setups, and those of each method)
+medians.csv  medians and quartiles over the seeds, a line for each setting and series
+report.html  both as a page to compare settings on, and to choose a setup from"""
+EPILOG = "Runs may be added at any time: collect them again, the files are rewritten."
+
+
+class Parser(command.Parser):
+    """A parser whose complaints are one line; it takes a directory instead of one run and a pick."""
+
+    def __init__(self) -> None:
+        formatter = argparse.RawDescriptionHelpFormatter
+        argparse.ArgumentParser.__init__(
+            self,
+            prog="python -m rbfevo.collect",
+            description=DESCRIPTION,
+            epilog=EPILOG,
+            allow_abbrev=False,
+            formatter_class=formatter,
+        )
+        self.add_argument("directory", type=Path, metavar="DIR", help="the directory of a sweep, or of several")
+        self.add_argument("--out", type=Path, metavar="DIR", help="where the files go; the directory itself")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Carry out the command line; return 0, or 2 for a user's mistake."""
+    return command.carried_out(Parser(), carry_out, arguments)
+
+
+def carry_out(options: argparse.Namespace) -> None:
+    """Write the tables of a sweep and say what is best.
+
+    Raises:
+        UserError: for a user's mistake.
+    """
+    members, unread = sweep.members(options.directory)
+    out: Path = options.out or options.directory
+    if any(member.name == "." for member in members) and out.resolve() == options.directory.resolve():
+        raise UserError(f"{out} is a run by itself, with a report.html of its own: give the directory above, or --out")
+    groups = sweep.groups(members)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--out {out} cannot be made: {error.strerror or error}") from None
+    write_whole(out / "runs.csv", sweep.table_of_runs(sweep.lines(members)))
+    write_whole(out / "medians.csv", sweep.table_of_medians(groups))
+    files, warnings = ["runs.csv", "medians.csv"], [*(f"left out: {line}" for line in unread), *sweep.doubts(members)]
+    try:
+        write_whole(out / "report.html", page_of_sweep(members, options.directory, out).encode())
+        files.append("report.html")
+    except UserError as error:
+        warnings.append(f"report.html could not be made: {error}")
+    for warning in warnings:
+        print(f"warning: {warning}", file=sys.stderr, flush=True)
+    for sentence in sweep.best(groups):
+        print(sentence)
+    runs = f"{len(members)} run{'s' * (len(members) != 1)}"
+    print(f"{runs}; written in {out}: {', '.join(files)}", flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,231 @@
+"""What a page is told about runs: numbers as base64 of their bytes (little-endian), the rest as JSON."""
+
+from __future__ import annotations
+
+import base64
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from rbfevo.columns import Setup, setup
+from rbfevo.errors import UserError
+from rbfevo.figures import style
+from rbfevo.figures.front import scale_of
+from rbfevo.figures.report.surface import surface_of
+from rbfevo.figures.series import HEURISTICS, kinds, series
+from rbfevo.figures.space import stretch
+from rbfevo.figures.view import standpoint
+from rbfevo.record import Array, Record
+
+MANY = 2_000  # setups of a sweep: above, each run shows its front and its heuristics only
+MOST = 4_000  # setups of a page: above, every so-manieth is shown
+ON_DARK = {
+    style.BLUE: "#6aa5f5",
+    style.MAGENTA: "#ff66bd",
+    style.GREEN: "#6fcf72",
+    style.ORANGE: "#ffa733",
+    style.GREY: "#a8a8a8",
+}
+SYMBOLS = {"o": "circle", "^": "triangle-up", "D": "diamond", "s": "square"}
+
+
+class Shown(NamedTuple):
+    """A run that a page shows.
+
+    Attributes:
+        name: what the page calls it; place: its directory as seen from the page's; directory: the same from here.
+        settings: what it is compared by.
+    """
+
+    name: str
+    place: str
+    directory: Path
+    record: Record
+    settings: dict[str, Any]
+
+
+def content(runs: Sequence[Shown], meshes: Sequence[str]) -> dict[str, Any]:
+    """Everything that a page shows of `runs`, of which those with the same entry of `meshes` share mesh and gradient.
+
+    Raises:
+        UserError: if no run has a setup with finite centers and scores.
+    """
+    if not any(run.record.usable.size for run in runs):
+        raise UserError("no setup has finite centers and scores")
+    first = {mesh: run.record for mesh, run in zip(reversed(meshes), reversed(runs), strict=True)}
+    order = list(dict.fromkeys(meshes))
+    looks: dict[tuple[str, str], dict[str, Any]] = {}
+    rows = _rows(runs)
+    told = [_run(run, order.index(mesh), kept, looks) for run, mesh, kept in zip(runs, meshes, rows, strict=True)]
+    every = sum(len(run.record.usable) for run in runs)
+    return {
+        "runs": told,
+        "series": list(looks.values()),
+        "meshes": [_mesh(first[mesh], len(order)) for mesh in order],
+        "logarithmic": _logarithmic(runs, rows),
+        "left_out": every - sum(len(kept) for kept in rows),
+        "colors": [[place / 255, _hex(style.ERROR(place))] for place in range(0, 256, 15)],
+    }
+
+
+def packed(array: Array, kind: str) -> str:
+    """An array as base64 of its numbers of a NumPy `kind`, such as `<f8`, row by row."""
+    return base64.b64encode(np.ascontiguousarray(array, dtype=kind).tobytes()).decode("ascii")
+
+
+def _hex(color: Sequence[float]) -> str:
+    return "#" + "".join(f"{round(255 * part):02x}" for part in color[:3])
+
+
+def _rows(runs: Sequence[Shown]) -> list[Array]:
+    """The rows of each run that a page shows: all usable ones, where there are not too many of them."""
+    rows = [run.record.usable for run in runs]
+    if len(runs) > 1 and sum(map(len, rows)) > MANY:
+        rows = [
+            kept[run.record.nondominated[kept] | np.isin(run.record.method[kept], HEURISTICS[1:])]
+            for run, kept in zip(runs, rows, strict=True)
+        ]
+    total = sum(map(len, rows))
+    return rows if total <= MOST else [kept[:: -(-total // MOST)] for kept in rows]
+
+
+def _run(run: Shown, mesh: int, rows: Array, looks: dict[tuple[str, str], dict[str, Any]]) -> dict[str, Any]:
+    record, summary = run.record, run.record.summary
+    which = np.zeros(len(record.regularity), dtype=int)
+    for (method, preferred), members in kinds(record).items():
+        look = series(record, method, preferred)
+        key = (look.label, look.marker + str(look.filled))
+        looks.setdefault(
+            key,
+            {
+                "label": look.label,
+                "color": look.color,
+                "dark": ON_DARK.get(look.color, look.color),
+                "symbol": SYMBOLS[look.marker] + ("" if look.filled else "-open"),
+                "size": round(1.35 * look.size**0.5, 1),
+                "order": look.order,
+            },
+        )
+        which[members] = list(looks).index(key)
+    n, m = len(record.vertices), record.centers.shape[1]
+    known = _setup(record, rows)
+    mirror = known.mirror if known is not None else None
+    centers = record.centers[rows]
+    if mirror is not None:  # those on the symmetry plane are put exactly there
+        centers = np.stack([setup(record, int(row)).centers for row in rows])
+    variability = record.variability if record.variability is not None else np.full(len(which), np.nan)
+    return {
+        "name": run.name,
+        "place": shlex.quote(run.place),
+        "mesh": mesh,
+        "title": record.title,
+        "kernel": summary.get("kernel"),
+        "support": summary.get("support"),
+        "manipulation": summary.get("manipulation"),
+        "mirror": None if mirror is None else {"axis": mirror.axis, "at": mirror.at},
+        "known": known is not None,
+        "settings": run.settings,
+        "m": m,
+        "n": n,
+        "rows": rows.tolist(),
+        "series": which[rows].tolist(),
+        "method": record.method[rows].tolist(),
+        "preference": [None if not np.isfinite(value) else value for value in record.preference[rows].tolist()],
+        "nondominated": record.nondominated[rows].astype(int).tolist(),
+        "regularity": packed(record.regularity[rows], "<f8"),
+        "potential": packed(record.improvement_potential[rows], "<f8"),
+        "variability": packed(variability[rows], "<f8"),
+        "centers": packed(centers, "<f8"),
+        "made": made(run),
+    }
+
+
+def _setup(record: Record, rows: Array) -> Setup | None:
+    """The first of some setups; None where there is none, or what it reaches is not known."""
+    try:
+        return setup(record, int(rows[0])) if len(rows) else None
+    except UserError:  # a kernel that is unknown here still has centers to show
+        return None
+
+
+def _mesh(record: Record, count: int) -> dict[str, Any]:
+    """Vertices, faces and gradient for a page that shows `count` meshes."""
+    surface = surface_of(record, *(() if count == 1 else (max(2_000, 50_000 // count),)))
+    d, towards, up = record.vertices.shape[1], np.array([1.0, -0.4, 0.9]), np.array([0.0, 0.0, 1.0])
+    if d == 3:
+        towards, up = standpoint(record)
+    errors = np.linalg.norm(record.gradient, axis=1)
+    factor, remark = stretch(record, errors)
+    uniform = np.ptp(surface.weights) == 0 and surface.weights[0] == 1
+    return {
+        "of": len(record.vertices),
+        "n": len(surface.rows),
+        "d": d,
+        "k": record.gradient.shape[1],
+        "vertices": packed(record.vertices[surface.rows], "<f8"),
+        "faces": packed(surface.faces, "<u4"),
+        "gradient": packed(record.gradient[surface.rows], "<f8"),
+        "weights": None if uniform else packed(surface.weights, "<f8"),
+        "scale": record.gradient_norm,
+        "direction": record.summary.get("gradient_is") == "direction",
+        "stretch": factor,
+        "remark": remark.strip().strip("()"),
+        "towards": (towards / np.linalg.norm(towards)).tolist(),
+        "up": up.tolist(),
+        "extent": np.ptp(record.vertices, axis=0).tolist(),
+        "scenario": record.summary.get("scenario"),
+    }
+
+
+def _logarithmic(runs: Sequence[Shown], rows: Sequence[Array]) -> bool:
+    """Whether regularities are best seen on a logarithmic axis."""
+    every, searched = [], []
+    for run, kept in zip(runs, rows, strict=True):
+        every.append(run.record.regularity[kept])
+        searched.append(every[-1][~np.isin(run.record.method[kept], HEURISTICS)])
+    return scale_of(np.concatenate(every), np.concatenate(searched)).logarithmic
+
+
+def made(run: Shown) -> dict[str, Any]:
+    """How a run was made: its command, settings, versions, seconds, and what ran."""
+    say = run.record.summary.get
+    counted = {
+        "evaluations": say("evaluations"),
+        "failed evaluations": say("failed_evaluations"),
+        "gradients": say("gradients"),
+        "seconds": say("seconds"),
+        "evaluations a second": say("evaluations_per_second"),
+        "hypervolume": say("hypervolume"),
+        "stopped by": say("stop_reason"),
+        "seed": say("seed"),
+        "device": say("device"),
+        "evaluator": say("evaluator"),
+        "threads": say("threads"),
+        "saved rows scored by": say("scored_by"),
+        "vertices": say("vertices"),
+        "vertices of the search": say("search_vertices"),
+    }
+    return {
+        "command": command(run.directory),
+        "facts": {key: value for key, value in counted.items() if value is not None},
+        "versions": say("versions") or {},
+        "notes": say("notes") or {},
+        "warnings": say("warnings") or [],
+    }
+
+
+def command(directory: Path) -> str | None:
+    """The command that made a run, as Hydra recorded it; None where it did not."""
+    try:
+        words = OmegaConf.to_container(OmegaConf.load(directory / ".hydra" / "overrides.yaml"))
+    except (OSError, ValueError, YAMLError, OmegaConfBaseException):
+        return None
+    if not isinstance(words, list):
+        return None
+    return shlex.join(["python", "-m", "rbfevo", *map(str, words)])

@@ -1,0 +1,97 @@
+"""The page itself: its parts, the plotting library's script and the content, put into one self-contained file."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rbfevo.figures.report.comparison import comparison
+from rbfevo.figures.report.content import Shown, content
+from rbfevo.record import Record
+from rbfevo.sweep import Member
+
+PARTS = Path(__file__).parent / "page"
+
+
+def page(record: Record, directory: Path) -> str:
+    """The page of one run as HTML.
+
+    Raises:
+        UserError: if no setup has finite centers and scores.
+    """
+    m, n = record.centers.shape[1], len(record.vertices)
+    words = [f"{len(record.regularity):,} setup{'s' * (len(record.regularity) != 1)}"]
+    words[0] += f" of {m} center{'s' * (m != 1)} on {n:,} vertices"
+    volume, symmetry = record.summary.get("hypervolume"), record.summary.get("symmetry")
+    if isinstance(volume, int | float):
+        words.append(f"hypervolume {volume:.4g}")
+    if record.summary.get("seed") is not None:
+        words.append(f"seed {record.summary['seed']}")
+    if isinstance(symmetry, dict):
+        words.append(f"symmetric about {symmetry.get('axis')} = {symmetry.get('at')}")
+    told = content([Shown("", ".", directory, record, {})], [""])
+    return assembled({**told, "title": record.title, "subtitle": " · ".join(words)})
+
+
+def page_of_sweep(members: Sequence[Member], directory: Path, out: Path) -> str:
+    """The page of all runs of a sweep as HTML.
+
+    Args:
+        members: the runs; directory: where their names begin; out: where the page is to go.
+
+    Raises:
+        UserError: if no run has a setup with finite centers and scores.
+    """
+    shown = [
+        Shown(
+            member.name,
+            Path(os.path.relpath(directory / member.name, out)).as_posix(),
+            directory / member.name,
+            member.record,
+            member.settings,
+        )
+        for member in members
+    ]
+    meshes = [member.settings["mesh"] for member in members]
+    told = content(shown, meshes) | {"sweep": comparison(members)}
+    setups = sum(len(member.record.usable) for member in members)
+    words = [f"{len(members):,} run{'s' * (len(members) != 1)}", f"{setups:,} setups"]
+    if told["left_out"]:
+        words.append(f"{told['left_out']:,} of them left out here, dominated within their run or thinned")
+    return assembled({**told, "title": f"Sweep {directory.resolve().name}", "subtitle": " · ".join(words)})
+
+
+def assembled(told: dict[str, Any]) -> str:
+    """The parts of the page and what it is told, as one file that fetches nothing."""
+    from plotly.offline import get_plotlyjs
+
+    scripts = [path.read_text(encoding="utf-8") for path in sorted((PARTS / "js").glob("*.js"))]
+    parts = {
+        "title": _escaped(f"{told['title']} · rbfevo"),
+        "style": (PARTS / "page.css").read_text(encoding="utf-8"),
+        "content": json.dumps({**told, "version": _version()}, allow_nan=False).replace("<", "\\u003c"),
+        "plotly": get_plotlyjs().replace("</script", "<\\/script"),
+        "script": _wrapped(scripts),
+    }
+    text = (PARTS / "page.html").read_text(encoding="utf-8")
+    return re.sub(r"\{\{(\w+)\}\}", lambda mark: parts[mark[1]], text)
+
+
+def _wrapped(scripts: Sequence[str]) -> str:
+    return "(() => {\n'use strict';\n" + "\n".join(scripts) + "\n})();\n"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def _version() -> str:
+    try:
+        return importlib.metadata.version("rbfevo")
+    except importlib.metadata.PackageNotFoundError:
+        return ""

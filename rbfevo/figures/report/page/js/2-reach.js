@@ -1,0 +1,108 @@
+// What a setup reaches of the wanted displacement: U U^+ g, by the modified Gram-Schmidt process on [U | g].
+
+/** The kernel at a squared distance. */
+function kernelOf(run, d) {
+  if (run.kernel === "wendland") {
+    const s = run.support;
+    return (r2) => {
+      const q = Math.sqrt(r2) / s;
+      return q < 1 ? (1 - q) ** 4 * (4 * q + 1) : 0;
+    };
+  }
+  return d === 2 ? (r2) => (r2 > 0 ? 0.5 * r2 * Math.log(r2) : 0) : (r2) => r2 * Math.sqrt(r2);
+}
+
+/** The image of a center [d] in a run's symmetry plane. */
+function imageOf(center, mirror) {
+  const image = [...center];
+  image[mirror.axis] = 2 * mirror.at - center[mirror.axis];
+  return image;
+}
+
+/** Column of Phi [n] of one center; with a mirror that along its plane, or across it (null where there is none). */
+function columnOf(center, mesh, run, roots, across) {
+  const { vertices, n, d } = mesh, phi = kernelOf(run, d), mirror = run.mirror;
+  if (across && center[mirror.axis] === mirror.at) return null;
+  const column = new Float64Array(n);
+  const add = (point, sign) => {
+    for (let i = 0, at = 0; i < n; i++, at += d) {
+      let r2 = 0;
+      for (let axis = 0; axis < d; axis++) { const step = vertices[at + axis] - point[axis]; r2 += step * step; }
+      column[i] += sign * phi(r2);
+    }
+  };
+  add(center, 1);
+  if (mirror) add(imageOf(center, mirror), across ? -1 : 1);
+  if (roots) for (let i = 0; i < n; i++) column[i] *= roots[i];
+  return column;
+}
+
+const dot = (a, b) => { let sum = 0; for (let i = 0; i < a.length; i++) sum += a[i] * b[i]; return sum; };
+
+/** Take from every one of `rest` what the `columns` reach of it; columns that depend on others count once. */
+function project(columns, rest) {
+  const norms = columns.map((column) => Math.sqrt(dot(column, column)));
+  const cut = Math.max(columns.length ? columns[0].length : 0, columns.length) * Number.EPSILON * Math.max(0, ...norms);
+  columns.forEach((column, j) => {
+    const norm = Math.sqrt(dot(column, column));
+    if (!(norm > cut)) return;
+    for (let i = 0; i < column.length; i++) column[i] /= norm;
+    for (const other of [...columns.slice(j + 1), ...rest]) {
+      const share = dot(column, other);
+      for (let i = 0; i < column.length; i++) other[i] -= share * column[i];
+    }
+  });
+}
+
+/** What a setup leaves of the gradient: its rows [n * k], their norms [n], and P on the vertices shown. */
+function leftBy(setup, mesh) {
+  const { n, k, d } = mesh, run = setup.run, centers = centersOf(setup, d), left = new Float64Array(n * k);
+  const groups = [[[...Array(k).keys()], false]];
+  if (run.mirror && k > 1) groups.splice(0, 1, [[...Array(k).keys()].filter((c) => c !== run.mirror.axis), false], [[run.mirror.axis], true]);
+  let remaining = 0, whole = 0;
+  for (const [components, across] of groups) {
+    const columns = centers.map((center) => columnOf(center, mesh, run, mesh.roots, across)).filter((column) => column);
+    const rest = components.map((c) => Float64Array.from({ length: n }, (_, i) => mesh.gradient[i * k + c] * (mesh.roots ? mesh.roots[i] : 1)));
+    whole += rest.reduce((sum, component) => sum + dot(component, component), 0);
+    project(columns, rest);
+    remaining += rest.reduce((sum, component) => sum + dot(component, component), 0);
+    components.forEach((c, which) => {
+      for (let i = 0; i < n; i++) left[i * k + c] = mesh.roots ? rest[which][i] / (mesh.roots[i] || 1) : rest[which][i];
+    });
+  }
+  return { left, norms: rowNorms(left, n, k), potential: whole > 0 ? 1 - remaining / whole : 0 };
+}
+
+/** Norms [n] of rows [n * k]. */
+function rowNorms(rows, n, k) {
+  const norms = new Float64Array(n);
+  for (let i = 0; i < n; i++) {
+    let sum = 0;
+    for (let c = 0; c < k; c++) sum += rows[i * k + c] ** 2;
+    norms[i] = Math.sqrt(sum);
+  }
+  return norms;
+}
+
+/** The arrays of a mesh from their base64, and what is wanted at each vertex. */
+function unpackMesh(mesh) {
+  mesh.vertices = unpacked(mesh.vertices, Float64Array);
+  mesh.faces = unpacked(mesh.faces, Uint32Array);
+  mesh.gradient = unpacked(mesh.gradient, Float64Array);
+  mesh.roots = mesh.weights ? unpacked(mesh.weights, Float64Array).map(Math.sqrt) : null;
+  mesh.wanted = rowNorms(mesh.gradient, mesh.n, mesh.k);
+  mesh.most = mesh.wanted.reduce((a, b) => Math.max(a, b), 0);
+  mesh.known = new Map();
+  return mesh;
+}
+
+/** `leftBy`, remembered for the setups that were looked at last. */
+function leftOf(setup, mesh) {
+  if (!setup.run.known) return null;
+  let found = mesh.known.get(setup.index);
+  if (!found) found = leftBy(setup, mesh);
+  mesh.known.delete(setup.index);
+  mesh.known.set(setup.index, found);
+  if (mesh.known.size > 24) mesh.known.delete(mesh.known.keys().next().value);
+  return found;
+}

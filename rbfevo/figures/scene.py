@@ -1,0 +1,259 @@
+"""What `python -m rbfevo.show` shows of a run, and what a key or the slider changes in it: no window, no drawing."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from rbfevo.columns import setup
+from rbfevo.errors import UserError
+from rbfevo.export import spatial
+from rbfevo.figures.local_error import local_error
+from rbfevo.picks import pick
+from rbfevo.record import Array, Record
+
+COLOURS = {"wanted": "wanted displacement", "left": "what the setup cannot reach"}
+SHAPES = {"template": "template", "reached": "shape within reach", "wanted": "wanted shape"}
+NAMED = {"k": "knee", "r": "best-regularity", "p": "best-improvement-potential"}
+KEYS = (
+    ("k r p", "knee, best regularity, best improvement potential"),
+    ("Left Right", "along the front, to lower or higher regularity"),
+    ("c", "keep this setup to compare with, or drop the kept one"),
+    ("x", "swap the two"),
+    ("e", "colours: wanted displacement, what the setup cannot reach"),
+    ("t", "shape: template, within reach, wanted"),
+    ("v", "view from the start"),
+    ("s", "save a picture beside the run"),
+    ("h", "show or hide the keys"),
+    ("q Escape", "close"),
+)
+SOFTWARE = "rbfevo.show"  # what a picture says that it was written by
+MIDDLE = 0.5  # the preference of a start that came from none
+NEAR = 1e-12  # preferences are told apart to this
+KEPT = 2**26  # numbers of reached displacements that are kept, 512 MB
+
+
+class State:
+    """What is shown of a run.
+
+    Attributes:
+        record: the run; names: its named setups, word to row, those that it has.
+        row: the setup shown; other: the one it is compared with, or None.
+        colour, shape: words of COLOURS and SHAPES.
+        preference: where the slider stands, from 0 (improvement potential) to 1 (regularity).
+        keys_shown: whether the list of keys is shown; said: what the last key has to say, or "".
+    """
+
+    def __init__(
+        self, record: Record, words: str, other: int | None = None, colour: str = "wanted", shape: str = "template"
+    ) -> None:
+        """Start with the setup that `words` pick (`rbfevo.picks`).
+
+        Raises:
+            UserError: if there is no such setup, or this run does not tell what `colour` or `shape` needs.
+        """
+        self.record, self.row, self.other = record, pick(record, words), other
+        self.names = {}
+        for name in NAMED.values():
+            try:
+                self.names[name] = pick(record, name)
+            except UserError:  # no knee without a front
+                continue
+        self._no_colour, self._no_shape = _refusals(record)
+        for option, word, refusals in (("colour", colour, self._no_colour), ("shape", shape, self._no_shape)):
+            if word in refusals:
+                raise UserError(f"--{option} {word}: {refusals[word]}")
+        self.colour, self.shape = colour, shape
+        self.keys_shown, self.said = False, ""
+        kind, _, value = words.strip().partition(":")
+        self.preference = float(value) if kind == "preference" else MIDDLE
+        self._follow()
+
+    def can(self, option: str, word: str) -> bool:
+        """Whether this run tells what the `colour` or the `shape` that `word` names needs."""
+        return word not in (self._no_colour if option == "colour" else self._no_shape)
+
+    @property
+    def rows(self) -> list[int]:
+        """The rows shown, from left to right."""
+        return [self.row] if self.other is None else [self.row, self.other]
+
+    @property
+    def path(self) -> Array:
+        """The rows that Left and Right walk along by rising regularity: the usable front, or else all usable rows."""
+        usable = self.record.usable
+        front = self.record.front[np.isin(self.record.front, usable)]
+        return front if front.size else usable[np.argsort(self.record.regularity[usable], kind="stable")]
+
+    def press(self, key: str) -> bool:
+        """Do what `key` (a keysym, letters in lower case) stands for; return whether it stands for anything here."""
+        self.said = ""
+        if key in NAMED:
+            self._choose(NAMED[key])
+        elif key in ("Left", "Right"):
+            self._walk(key == "Right")
+        elif key == "c":
+            self.other = self.row if self.other is None else None
+            self.said = "" if self.other is None else f"row {self.row} is kept: now choose another one"
+        elif key == "x":
+            self._swap()
+        elif key == "e":
+            self.colour = self._next(self.colour, COLOURS, self._no_colour)
+        elif key == "t":
+            self.shape = self._next(self.shape, SHAPES, self._no_shape)
+        elif key == "h":
+            self.keys_shown = not self.keys_shown
+        else:
+            return False
+        return True
+
+    def prefer(self, preference: float) -> None:
+        """Show the setup that maximizes preference R + (1 - preference) P (paper, eq. 9)."""
+        self.preference, self.said = min(max(float(preference), 0.0), 1.0), ""
+        self.row = pick(self.record, f"preference:{self.preference!r}")
+
+    def preferences(self, row: int) -> tuple[float, float] | None:
+        """The preferences, from and to, for which no usable setup beats `row`; None if there are none."""
+        usable, (R, P) = self.record.usable, (self.record.regularity, self.record.improvement_potential)
+        more_R, more_P = R[row] - R[usable], P[row] - P[usable]
+        slope = more_R - more_P  # preference * slope + more_P >= 0 is asked of every setup
+        if (more_P[slope == 0] < 0).any():
+            return None
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = -more_P / slope
+        low = max(0.0, float(crossing[slope > 0].max(initial=0.0)))
+        high = min(1.0, float(crossing[slope < 0].min(initial=1.0)))
+        return (low, high) if low <= high + NEAR else None
+
+    def titles(self, row: int) -> list[str]:
+        """What is written over a setup: what it is best at, its row and its scores."""
+        record = self.record
+        names = [name.replace("-", " ") for name, its in self.names.items() if its == row]
+        source, preference = str(record.method[row]), record.preference[row]
+        if np.isfinite(preference):
+            source += f", preference {preference:g}"
+        first = ", ".join([*names, f"row {row}"])
+        return [
+            f"{first} ({source})",
+            f"R = {record.regularity[row]:.4g}   P = {record.improvement_potential[row]:.4f}",
+        ]
+
+    def slider_title(self) -> str:
+        """What is written over the slider."""
+        fits = self.preferences(self.row)
+        if fits is None:
+            return f"preference (row {self.row} is the best one for none)"
+        return "preference: 0 improvement potential, 1 regularity"
+
+    def _choose(self, name: str) -> None:
+        if name in self.names:
+            self.row = self.names[name]
+            self._follow()
+        else:
+            self.said = f"there is no {name}: no usable setup of this run is marked as nondominated"
+
+    def _walk(self, up: bool) -> None:
+        """One setup along the path; from beside it to the next one of higher or lower regularity."""
+        path = self.path
+        here = np.flatnonzero(path == self.row)
+        if here.size:
+            place = int(here[0]) + (1 if up else -1)
+        else:
+            regularity = self.record.regularity
+            side = "right" if up else "left"
+            place = int(np.searchsorted(regularity[path], regularity[self.row], side)) - (0 if up else 1)
+        if 0 <= place < len(path):
+            self.row = int(path[place])
+            self._follow()
+        else:
+            self.said = f"the front ends here: no setup on it has {'higher' if up else 'lower'} regularity"
+
+    def _swap(self) -> None:
+        if self.other is None:
+            self.said = "there is no setup to swap with: c keeps one"
+        else:
+            self.row, self.other = self.other, self.row
+            self._follow()
+
+    def _next(self, word: str, words: dict[str, str], refusals: dict[str, str]) -> str:
+        there = [each for each in words if each not in refusals]
+        if len(there) < len(words):
+            self.said = next(iter(refusals.values()))
+        return there[(there.index(word) + 1) % len(there)]
+
+    def _follow(self) -> None:
+        """Move the slider to the nearest preference that leads to the row shown, if there is one."""
+        fits = self.preferences(self.row)
+        if fits is not None:
+            self.preference = min(max(self.preference, fits[0]), fits[1])
+
+
+def _refusals(record: Record) -> tuple[dict[str, str], dict[str, str]]:
+    """Which colours and which shapes this run cannot be shown in, and why."""
+    colours, shapes, (d, k) = {}, {}, (record.vertices.shape[1], record.gradient.shape[1])
+    try:
+        setup(record, int(record.usable[0]))
+    except UserError as error:
+        colours["left"] = shapes["reached"] = str(error)
+    if d == 3 and k != 3:
+        reason = f"the gradient of this run has {k} component{'s' * (k != 1)}, not the three of a displacement"
+        shapes |= dict.fromkeys(("reached", "wanted"), reason)
+    return colours, shapes
+
+
+class Fields:
+    """The arrays that are drawn: points and colours of the template, and centers; a plane lies at z = 0.
+
+    Attributes:
+        highest: the value [model units, or unit norm] at which the colours end: the largest wanted displacement of a
+            vertex, whatever is shown, so that all pictures of a run compare.
+        unit: what the values are in, in brackets; remark: what is to be said of shapes, or "".
+        radius: of the balls that centers are drawn as, model units.
+    """
+
+    def __init__(self, record: Record) -> None:
+        from rbfevo.figures.space import stretch  # with matplotlib, which takes a while
+
+        self.record, errors = record, local_error(record.gradient)
+        self._scale = record.gradient_norm or 1.0
+        factor, remark = stretch(record, errors)
+        self._stretch, self.remark = factor, remark.strip("\n()")
+        self.highest = self._scale * float(errors.max())
+        self.unit = "[model units]" if record.gradient_norm else "(unit norm)"
+        diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
+        self.radius = 0.0125 * diagonal * min(1.0, np.sqrt(25 / record.centers.shape[1]))
+        kept = max(2, KEPT // record.gradient.size)
+        self._weights = functools.lru_cache(kept)(lambda row: setup(record, row).fit(record))
+        self._reached = functools.lru_cache(kept)(self._reach)
+
+    def points(self, row: int, shape: str) -> Array:
+        """The vertices [n, 3] of the template as `shape` has it."""
+        template = np.zeros((len(self.record.vertices), 3))
+        template[:, : self.record.vertices.shape[1]] = self.record.vertices
+        if shape == "template":
+            return template
+        moved = self.record.gradient if shape == "wanted" else self._reached(row)
+        return template + self._stretch * spatial(moved)
+
+    def values(self, row: int, colour: str) -> Array:
+        """The lengths [n] of the wanted displacement, or of what the setup leaves of it."""
+        left = self.record.gradient if colour == "wanted" else self.record.gradient - self._reached(row)
+        return self._scale * local_error(left)
+
+    def centers(self, row: int, shape: str) -> tuple[Array, Array]:
+        """All centers [q, 3] of a setup, and which are mirror images [q]; in the shape within reach they have moved."""
+        try:
+            chosen = setup(self.record, row)
+        except UserError:  # a kernel that is unknown here still has centers to show
+            centers = self.record.centers[row]
+            return np.pad(centers, ((0, 0), (0, 3 - centers.shape[1]))), np.zeros(len(centers), dtype=bool)
+        physical = chosen.centers_and_images()
+        places = np.pad(physical.points, ((0, 0), (0, 3 - physical.points.shape[1])))
+        if shape == "reached":
+            moves = chosen.displacement(chosen.centers, self._weights(row))
+            places = places + self._stretch * spatial(chosen.with_images(moves))
+        return places, physical.mirrored
+
+    def _reach(self, row: int) -> Array:
+        return setup(self.record, row).displacement(self.record.vertices, self._weights(row))

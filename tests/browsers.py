@@ -1,0 +1,84 @@
+"""A real browser without a window, for the tests of report.html; they skip, with the reason, where there is none."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "microsoft-edge")
+ARGUMENTS = (
+    *("--no-sandbox", "--disable-dev-shm-usage", "--no-first-run", "--disable-quic", "--disable-sync"),
+    *("--disable-background-networking", "--disable-component-update"),
+    *("--use-angle=swiftshader", "--enable-unsafe-swiftshader"),  # WebGL by software
+)
+WINDOW = {"width": 1400, "height": 900}
+HARMLESS = "willReadFrequently"  # advice of Chromium to the plotting library
+
+
+def executable() -> str | None:
+    """The browser to use: RBFEVO_BROWSER, or the first of NAMES that is installed."""
+    told = os.environ.get("RBFEVO_BROWSER")
+    return told or next((found for name in NAMES if (found := shutil.which(name))), None)
+
+
+def started() -> Iterator[Browser]:
+    """A browser, until the last test is done."""
+    path = executable()
+    if path is None:
+        pytest.skip(f"no browser: none of {', '.join(NAMES)} is installed, and RBFEVO_BROWSER is not set")
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with api.sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(executable_path=path, args=list(ARGUMENTS))
+        except api.Error as error:
+            pytest.skip(f"{path} does not start: {str(error).splitlines()[0]}")
+        yield browser
+        browser.close()
+
+
+@contextlib.contextmanager
+def opened(browser: Browser, file: Path, place: str = "", **options: Any) -> Iterator[Page]:
+    """The page in `file`, ready; that it neither complained nor asked for anything else is checked at the end."""
+    options.setdefault("viewport", WINDOW)
+    context = browser.new_context(offline=True, **options)
+    complaints: list[str] = []
+    try:
+        page = context.new_page()
+        page.set_default_timeout(60_000)
+        page.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
+        page.on("pageerror", lambda error: complaints.append(f"error: {error}"))
+        page.on("request", lambda request: complaints.append(f"request: {request.url}"))
+        page.goto(file.as_uri() + place)
+        page.wait_for_selector("html[data-ready]")
+        page.wait_for_selector("#space-a canvas")
+        yield page
+        own = f"request: {file.as_uri()}"
+        wrong = [
+            line
+            for line in complaints
+            if HARMLESS not in line and not line.startswith((own, "request: data:", "request: blob:"))
+        ]
+        if wrong:
+            raise AssertionError(f"the page complained: {wrong}")
+    finally:
+        context.close()
+
+
+def settled(page: Page) -> None:
+    """Wait until the views show what was chosen last."""
+    for _ in range(2):
+        page.evaluate("() => new Promise((done) => requestAnimationFrame(() => setTimeout(done)))")
+
+
+def chosen(page: Page) -> int:
+    """The row that is chosen."""
+    return int(page.evaluate("() => rbfevo.state.chosen.row"))
