@@ -188,6 +188,25 @@ def test_picks_are_those_of_the_command_line(page, run_of, digits):
             assert found == pick(record, f"preference:{preference}")
 
 
+@pytest.mark.parametrize("scaled", ["true", "false"])
+def test_the_slider_goes_where_it_would_choose_the_setup(page, scaled):
+    scores = np.random.default_rng(5).uniform(size=(24, 2))
+    ranges = told(page, scores, f"setups.map((setup) => rbfevo.preferencesOf(setup, setups, front, {scaled}))")
+    assert sum(found is not None for found in ranges) > 2
+    for row, found in enumerate(ranges):
+        if found is not None:
+            for preference in (0.99 * found[0] + 0.01 * found[1], 0.01 * found[0] + 0.99 * found[1]):
+                assert told(page, scores, f"rbfevo.preferred(setups, front, {preference}, {scaled}).index") == row
+
+
+def test_the_slider_says_where_no_preference_leads_to_a_setup(page, run_of):
+    page.click('#setups tr[data-index="0"] button')  # dominated
+    assert not read(run_of("sphere")).nondominated[0]
+    assert page.text_content("#preference-value") == "none"
+    page.keyboard.press("r")
+    assert page.text_content("#preference-value") != "none"
+
+
 @pytest.mark.parametrize("digits", [1, 16])
 def test_the_page_of_a_sweep_finds_the_front_itself(page, digits):
     scores = np.round(np.random.default_rng(0).uniform(size=(60, 2)), digits)

@@ -13,12 +13,18 @@ function drawAnswers(state) {
   const { sweep } = state.content;
   if (!sweep) return;
   byId("answers").hidden = false;
-  byId("sentences").replaceChildren(...sweep.sentences.map((sentence) => el("li", {}, sentence)), ...sweep.doubts.map((doubt) => el("li", { class: "hint" }, `Note: ${doubt}`)));
+  byId("sentences").replaceChildren(...sweep.sentences.map(answer), ...sweep.doubts.map((doubt) => el("li", { class: "hint" }, `Note: ${doubt}`)));
   byId("measure").replaceChildren(...MEASURES.map(({ key, title }) => el("option", { value: key }, title)));
   byId("measure").addEventListener("change", () => drawSpread(state));
   state.groupSort = { key: "hypervolume", down: true };
   drawSpread(state);
   drawGroups(state);
+}
+
+/** A sentence, what it answers before how sure that is. */
+function answer(sentence) {
+  const [first, ...more] = sentence.split("; ");
+  return el("li", {}, el("b", {}, first), more.length ? el("span", { class: "hint" }, `; ${more.join("; ")}`) : null);
 }
 
 /** The groups on the mesh that is shown. */

@@ -22,7 +22,7 @@ function start() {
   state.choose = (setup, by) => {
     if (!setup) return;
     state.chosen = setup;
-    if (by !== "slider") byId("preference-value").textContent = "–";
+    if (by !== "slider") placeSlider();
     if (by !== "start") moveRings(state);
     drawViews();
     drawWords();
@@ -90,6 +90,14 @@ function start() {
     const few = stops.size < Math.min(5, state.front.length) && !scaled;
     byId("preference-hint").textContent = `Largest preference × R + (1 − preference) × P${scaled ? ", each scaled to its range on the front" : ""}: stops at ${stops.size} of ${state.front.length} nondominated setups; the arrow keys reach all.` +
       (few ? " One score varies much less than the other here: weigh both by their range." : "");
+  }
+
+  /** Put the slider where it would choose this setup, if there is such a place. */
+  function placeSlider() {
+    const found = preferencesOf(state.chosen, state.visible, state.front, byId("scaled").checked);
+    byId("preference-value").textContent = found ? ((found[0] + found[1]) / 2).toFixed(2) : "none";
+    byId("preference-value").title = found ? `best from ${found[0].toFixed(3)} to ${found[1].toFixed(3)}` : "no preference leads to this setup: another one is better for each";
+    if (found) byId("preference").value = (found[0] + found[1]) / 2;
   }
 
   function slide() {
@@ -192,7 +200,7 @@ function start() {
   });
   for (const [id, key] of [["knee", "k"], ["best-regularity", "r"], ["best-potential", "p"], ["walk-left", "ArrowLeft"], ["walk-right", "ArrowRight"], ["keep", "c"], ["swap", "x"], ["save-centers", "d"], ["save-picture", "s"], ["turn-back", "v"], ["keys-button", "?"]]) byId(id).addEventListener("click", () => keys[key]());
   byId("preference").addEventListener("input", slide);
-  byId("scaled").addEventListener("change", () => { hintAtSlider(); slide(); });
+  byId("scaled").addEventListener("change", () => { hintAtSlider(); placeSlider(); });
   byId("logarithmic").checked = state.logarithmic;
   byId("logarithmic").addEventListener("change", (event) => { state.logarithmic = event.target.checked; drawFront(state); });
   byId("see-through").addEventListener("change", (event) => { state.seeThrough = event.target.checked; drawViews(); });
@@ -219,7 +227,7 @@ function start() {
   drawFilters(state);
   show();
   drawAnswers(state);
-  window.rbfevo = { state, leftOf, frontOf, nondominated, kneeOf, bestOf, preferred }; // for the browser's console, and for tests
+  window.rbfevo = { state, leftOf, frontOf, nondominated, kneeOf, bestOf, preferred, preferencesOf }; // for the browser's console, and for tests
   document.documentElement.dataset.ready = "yes";
 }
 
