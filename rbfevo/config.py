@@ -35,6 +35,7 @@ class RunConfig:
     device: str = "auto"
     evaluator: str = "auto"
     figures: bool = True
+    checkpoint: Any = None
     quiet: bool = False
 
 
@@ -53,6 +54,7 @@ class Settings:
     evaluator: str
     figures: bool
     quiet: bool
+    checkpoint_every: float | None
 
 
 def check(config: DictConfig) -> Settings:
@@ -82,7 +84,25 @@ def check(config: DictConfig) -> Settings:
         evaluator=top.evaluator,
         figures=top.figures,
         quiet=top.quiet,
+        checkpoint_every=checkpoint_every(top.checkpoint),
     )
+
+
+def checkpoint_every(node: Any) -> float | None:
+    """Seconds between checkpoints, from the keys below `checkpoint`; None for the first and the last alone.
+
+    Raises:
+        UserError: for another key, or another value than null or a number of at least 0.
+    """
+    keys = dict(node) if isinstance(node, DictConfig) else {} if node is None else {"": node}
+    unknown = [key for key in keys if key != "every"]
+    if unknown:
+        raise UserError(f"checkpoint.{unknown[0]}: there is no such key; there is checkpoint.every")
+    every = keys.get("every")
+    number = isinstance(every, int | float) and not isinstance(every, bool)
+    if every is not None and not (number and 0 <= every < math.inf):
+        raise UserError(f"checkpoint.every={every}: null or a number of seconds, at least 0, is expected")
+    return None if every is None else float(every)
 
 
 def preferences(value: Any) -> tuple[float, ...] | None:

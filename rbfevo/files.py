@@ -50,10 +50,11 @@ def npz(arrays: dict[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def csv_text(names: Sequence[str], lines: Iterable[Sequence[Any]]) -> bytes:
-    """A CSV table as bytes; floats keep all their digits, NaN is an empty cell."""
+def csv_text(names: Sequence[str] | None, lines: Iterable[Sequence[Any]]) -> bytes:
+    """A CSV table as bytes, without a head if `names` is None; floats keep all their digits, NaN is an empty cell."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(names)
+    if names is not None:
+        writer.writerow(names)
     writer.writerows(["" if isinstance(cell, float) and cell != cell else cell for cell in line] for line in lines)
     return buffer.getvalue().encode()

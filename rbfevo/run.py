@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import functools
 import importlib.metadata
 import platform
+import shlex
 import signal
 import time
 from collections.abc import Sequence
@@ -13,14 +16,18 @@ from types import FrameType
 from typing import Any
 
 import torch
+from omegaconf import OmegaConf
 
 from rbfevo import figures, reach, storage
+from rbfevo.checkpoint import NAME, digest, load, tensors
 from rbfevo.config import Settings, build
 from rbfevo.errors import UserError
 from rbfevo.evaluator import Evaluator
 from rbfevo.evolvability import Scores
+from rbfevo.journal import Journal
 from rbfevo.kernels import Kernel
-from rbfevo.methods.stage import Method, Problem, Record, Rows, no_preference, random_stream
+from rbfevo.lock import locked
+from rbfevo.methods.stage import Method, Problem, Rows, no_preference, random_stream, rows_of, rows_state
 from rbfevo.mirrored import evaluator_of, spectrum_of
 from rbfevo.pareto import hypervolume
 from rbfevo.progress import Reporter
@@ -31,6 +38,7 @@ from rbfevo.threads import coarse
 # Up to this many numbers in U the rows of a result are scored by the definition, above by the blocked evaluator.
 DEFINED_UP_TO = 4_000_000
 MATCHED_ON = 20  # setups
+COUNTERS = ("evaluations", "failed_evaluations", "further_passes", "factorizations", "gradients")
 # Below this many evaluations times vertices, plain torch is done before numba has compiled for the first time (8 s).
 COMPILE_FROM = 10_000_000
 
@@ -64,12 +72,16 @@ class Interruption:
 class Run:
     """The parts of one run, put together from its settings, and what it has found so far.
 
+    Args:
+        settings: checked settings.
+        progress: what `progress` said when this run was last saved, with tensors; the run goes on from there.
+
     Raises:
         UserError: for what only shows when the parts meet (no such device, more centers than vertices, ...).
     """
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+    def __init__(self, settings: Settings, progress: dict[str, Any] | None = None) -> None:
+        self.settings, self._saved = settings, progress
         self.device = chosen_device(settings.device)
         self.scenario: Scenario = build(settings.scenario)
         n, d = self.scenario.vertices.shape
@@ -81,18 +93,23 @@ class Run:
         method = build(settings.method)
         self._enough_vertices(method)
         self.name: str = method.name
-        self.stages: list[Method] = getattr(method, "stages", [method])
+        self.stages = stages_of(method)
         self.planned = sum(stage.planned_evaluations(settings.preferences) for stage in self.stages)
         backend = settings.evaluator
         self.searched = self.scenario
         if backend == "auto" and self.planned * min(n, self.scenario.search_vertices or n) < COMPILE_FROM:
             backend = "eager"
+        if progress is not None and settings.evaluator == "auto":
+            backend = progress["evaluator"]  # a longer run might choose another one, which rounds differently
         self._backend = backend
         self.full_evaluator = self.evaluator = self._evaluator(self.scenario)
         self.coarse_evaluators: list[Evaluator] = []
         self.rows: list[Rows] = []
         self._drawn = 0  # of the rows: the initial population, scored on all vertices
-        self.history: list[Record] = []
+        self._done: dict[str, int] = dict.fromkeys(
+            COUNTERS, 0
+        )  # by the parts of this run that were carried out earlier
+        self._stage_index = self._step = self._before = 0  # of the rows, those before this stage
         self.warnings: list[str] = [*self.scenario.warnings, *reach.unfit(self.scenario, self.kernel)]
         self.differences: dict[str, float] | None = None
         self.told = 0  # warnings that have been printed
@@ -117,35 +134,53 @@ class Run:
     def total(self, counter: str) -> int:
         """One of the evaluator's counters, coarse designs included."""
         evaluators = {id(e): e for e in (self.full_evaluator, self.evaluator, *self.coarse_evaluators)}
-        return sum(getattr(evaluator, counter) for evaluator in evaluators.values())
+        return self._done[counter] + sum(getattr(evaluator, counter) for evaluator in evaluators.values())
 
-    def search(self, reporter: Reporter, interruption: Interruption) -> None:
+    def search(self, reporter: Reporter, interruption: Interruption, journal: Journal) -> None:
         """Run the methods one after the other, until they are done or interrupted; what they find is kept."""
-        start = time.perf_counter()
+        before = 0.0 if self._saved is None else float(self._saved["seconds"])
+        start = time.perf_counter() - before
         try:
             problem = self.problem()
-            for stage in self.stages:
-                self._stage(stage, problem, start, reporter, interruption)
+            if self._saved is not None:
+                self._resume(self._saved)
+            for index in range(self._stage_index, len(self.stages)):
+                self._stage_index, self._step, self._before = index, 0, len(self.rows)
+                if interruption.signal is not None:
+                    break
+                self._stage(self.stages[index], problem, start, reporter, interruption, journal)
+            self.keep(journal, reporter)
         finally:
             self.seconds = time.perf_counter() - start
         if interruption.signal is not None:
             self.stop_reason = f"interrupted by {signal.Signals(interruption.signal).name}"
 
     def _stage(
-        self, stage: Method, problem: Problem, start: float, reporter: Reporter, interruption: Interruption
+        self,
+        stage: Method,
+        problem: Problem,
+        start: float,
+        reporter: Reporter,
+        interruption: Interruption,
+        journal: Journal,
     ) -> None:
-        if interruption.signal is not None:
-            return
+        saved, self._saved = self._saved, None
         try:
             stage.start(problem)
+            if saved is not None:
+                stage.load_state_dict(saved["method"])
+                self._step = int(saved["step"])
+                self._count(saved)
             try:
-                for step in range(1, stage.steps + 1):
+                for step in range(self._step + 1, stage.steps + 1):
                     stage.step()
-                    seconds = time.perf_counter() - start
+                    self._step, self.seconds = step, time.perf_counter() - start
                     evaluations = self.total("evaluations")
-                    records = stage.records(step, evaluations, seconds, self.total("failed_evaluations"))
-                    self.history += records
+                    records = stage.records(step, evaluations, self.seconds, self.total("failed_evaluations"))
+                    journal.record(records)
                     reporter.update(evaluations, step, stage.steps, records)
+                    if journal.due():
+                        self.keep(journal, reporter)
                     if interruption.signal is not None:
                         return
             finally:  # what has been found is kept, whatever happens
@@ -154,6 +189,64 @@ class Run:
             if len(self.stages) == 1:
                 raise
             self.warnings.append(f"{stage.name} was left out: {error}")
+
+    def keep(self, journal: Journal, reporter: Reporter, finished: bool = False) -> None:
+        """Write a checkpoint; if that fails it is told once, and tried again the next time."""
+        failed_before = journal.complaint is not None
+        journal.complaint = None
+        if not journal.keep(self.progress(), finished) and not failed_before:
+            reporter.line(f"warning: {journal.complaint}")
+
+    def progress(self) -> dict[str, Any]:
+        """Where the run is, for a checkpoint: stage, step, the stage's state, rows of those before, counters."""
+        return {
+            "stage": self._stage_index,
+            "step": self._step,
+            "steps": [stage.steps for stage in self.stages],
+            "seconds": self.seconds,
+            "evaluator": self.evaluator.backend,
+            "counters": {counter: self.total(counter) for counter in COUNTERS},
+            "warnings": self.warnings,
+            "design": self._design,
+            "rows": [rows_state(rows) for rows in self.rows[self._drawn : self._before]],
+            "method": self.stages[self._stage_index].state_dict() if self._step else None,
+        }
+
+    @functools.cached_property
+    def _design(self) -> str:
+        """A hash of what is scored, bit for bit."""
+        return digest(self.scenario.vertices, self.scenario.gradient, self.scenario.weights)
+
+    def _resume(self, saved: dict[str, Any]) -> None:
+        """Take up what was saved, but for the state of the stage that it was saved in, which that stage takes.
+
+        Raises:
+            UserError: if it was saved on another design, or the budgets have changed so that it does not fit.
+        """
+        if saved["design"] != self._design:
+            raise UserError("the scenario has another mesh or gradient than when the run began (has a file changed?)")
+        index, step = int(saved["stage"]), int(saved["step"])
+        for place, (stage, steps) in enumerate(zip(self.stages, saved["steps"], strict=True)):
+            if stage.steps == steps or place > index:
+                continue
+            if place < index or not stage.lengthened(steps) or stage.steps < step:
+                why = (
+                    "it is done" if place < index else f"it had {steps} and has taken {step}; they can only become more"
+                )
+                if stage.steps > steps and place == index:
+                    why = "its plan depends on their number from the start"
+                raise UserError(f"method={stage.name}: the generations cannot be changed on the way: {why}")
+        self._stage_index = index
+        self.rows += [rows_of(state) for state in saved["rows"]]
+        self.warnings += [warning for warning in saved["warnings"] if warning not in self.warnings]
+        self._count(saved)
+        if saved["method"] is None:
+            self._saved = None
+
+    def _count(self, saved: dict[str, Any]) -> None:
+        """Let the counters go on from those saved: starting again has counted a second time."""
+        self._done.update(dict.fromkeys(COUNTERS, 0))
+        self._done = {counter: int(saved["counters"][counter]) - self.total(counter) for counter in COUNTERS}
 
     def _initial(self) -> Rows:
         m, count = self.settings.centers, max(stage.initial for stage in self.stages)
@@ -269,7 +362,7 @@ class Run:
             centers
         )  # one of its own: these are no evaluations of the search
 
-    def save(self, directory: Path, reporter: Reporter) -> None:
+    def save(self, directory: Path, reporter: Reporter, journal: Journal) -> None:
         """Score the rows on all vertices, write the run directory and draw its figures."""
         if not self.rows:
             reporter.line("stopped before anything was found; nothing was written")
@@ -282,7 +375,7 @@ class Run:
         objectives = torch.cat([rows.scores.objectives for rows in rescored])
         storage.write_scenario(directory, self.scenario)
         storage.write_setups(directory, table)
-        storage.write_history(directory, self.history)
+        journal.publish()
         storage.write_summary(directory, self.summary(hypervolume(objectives)))
         drawn = figures.draw(directory) if self.settings.figures else []
         for warning in [*self.warnings[self.told :], *drawn]:
@@ -290,15 +383,29 @@ class Run:
         reporter.closing_table(table, directory)
 
 
-def carry_out(settings: Settings, directory: Path) -> int:
+def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), resume: bool = False) -> int:
     """Carry out one run into its directory; return 0, or 130 and 143 after SIGINT and SIGTERM.
+
+    Args:
+        settings: checked settings; directory: where everything goes, with a lock meanwhile.
+        words: the command line that the settings come from, for a checkpoint to tell.
+        resume: go on from the checkpoint in the directory.
 
     Raises:
         UserError: for a user's mistake; what had been found by then is written all the same.
     """
-    storage.refuse_results(directory)
-    with Interruption() as interruption, coarse() as threads:
-        run = Run(settings)
+    with locked(directory), Interruption() as interruption, coarse() as threads:
+        saved = _checkpoint(settings, directory) if resume else None
+        if saved is None:
+            storage.refuse_results(directory)
+        facts = {"words": list(words), "settings": identity(settings), "whole": identity(settings, whole=True)}
+        facts["versions"] = versions()
+        journal = Journal(directory, settings.checkpoint_every, facts, saved)
+        try:
+            run = Run(settings, None if saved is None else tensors(saved["progress"]))
+        except BaseException:
+            journal.discard()
+            raise
         run.threads = threads
         reporter = Reporter(run.planned, settings.quiet)
         for note in run.scenario.notes.values():
@@ -307,15 +414,65 @@ def carry_out(settings: Settings, directory: Path) -> int:
             reporter.line(f"warning: {warning}")
         run.told = len(run.warnings)
         try:
-            run.search(reporter, interruption)
+            run.search(reporter, interruption, journal)
         except BaseException:
             run.stop_reason = "error"
-            run.save(directory, reporter)
+            with contextlib.suppress(UserError):  # the first mishap is the one to tell
+                run.save(directory, reporter, journal)
+            if not run.rows:
+                journal.discard()
             raise
         finally:
             reporter.close()
-        run.save(directory, reporter)
+        run.save(directory, reporter, journal)
+        if interruption.signal is None:
+            run.keep(journal, reporter, finished=True)
+            journal.close()
+        else:
+            reporter.line(f"to go on: python -m rbfevo {shlex.join([f'resume={directory}'])}")
     return 0 if interruption.signal is None else 128 + interruption.signal
+
+
+def _checkpoint(settings: Settings, directory: Path) -> dict[str, Any] | None:
+    """The checkpoint that the run is to go on from; None if it was made before the search began.
+
+    Raises:
+        UserError: if there is none, or it is damaged, of other settings, or of a run that is done.
+    """
+    saved = load(directory)
+    progress = saved.get("progress")
+    if saved.get("settings") != identity(settings):
+        raise UserError(
+            f"{directory}: its checkpoint was made with other settings: only method.*generations, checkpoint.*, quiet "
+            "and device may change on the way"
+        )
+    if progress is None:
+        (directory / NAME).unlink()
+        return None
+    budgets = [stage.steps for stage in stages_of(build(settings.method))]
+    if saved.get("finished") and budgets == progress["steps"]:
+        raise UserError(f"{directory} is done: there is nothing to resume (a larger method.generations lengthens it)")
+    return saved
+
+
+def identity(settings: Settings, whole: bool = False) -> str:
+    """A hash of the settings that a result depends on; the numbers of generations count only if it is to be `whole`."""
+    plain = dataclasses.asdict(settings)
+    for free in ("device", "quiet", "figures", "checkpoint_every"):
+        del plain[free]
+    nodes = {name: OmegaConf.to_container(plain[name]) for name in ("scenario", "kernel", "method")}
+    return digest({**plain, **nodes, "method": nodes["method"] if whole else _without_generations(nodes["method"])})
+
+
+def _without_generations(node: Any) -> Any:
+    if not isinstance(node, dict):
+        return node
+    return {key: _without_generations(value) for key, value in node.items() if key != "generations"}
+
+
+def stages_of(method: Any) -> list[Method]:
+    """The methods that are carried out one after the other."""
+    return getattr(method, "stages", [method])
 
 
 def differences(searched: Sequence[Rows], final: Sequence[Rows]) -> dict[str, float] | None:

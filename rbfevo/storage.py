@@ -10,8 +10,10 @@ from typing import Any
 import numpy as np
 import torch
 
+from rbfevo import checkpoint
+from rbfevo.errors import UserError
 from rbfevo.files import csv_text, npz, refuse_held, write_whole
-from rbfevo.methods.stage import Record, Rows
+from rbfevo.methods.stage import Rows
 from rbfevo.pareto import nondominated
 from rbfevo.scenarios.scenario import Scenario
 
@@ -21,7 +23,6 @@ __all__ = [
     "npz",
     "refuse_results",
     "setup_table",
-    "write_history",
     "write_scenario",
     "write_setups",
     "write_summary",
@@ -37,6 +38,10 @@ RESULTS = (
 def refuse_results(directory: Path, names: Sequence[str] = RESULTS, option: str = "hydra.run.dir") -> None:
     """Raise UserError if the directory already holds one of the results `names`: they are never overwritten."""
     refuse_held(directory, names, option)
+    if names is RESULTS and (directory / checkpoint.NAME).exists():
+        raise UserError(
+            f"{directory} holds a run that is not done: resume={directory} goes on with it, or choose another {option}"
+        )
 
 
 def setup_table(rows: Sequence[Rows]) -> dict[str, np.ndarray]:
@@ -64,11 +69,6 @@ def write_setups(directory: Path, table: dict[str, np.ndarray]) -> None:
     write_whole(directory / "setups.npz", npz(table))
     names = [name for name in table if name != "centers"]
     write_whole(directory / "setups.csv", csv_text(names, zip(*(table[name].tolist() for name in names), strict=True)))
-
-
-def write_history(directory: Path, history: Sequence[Record]) -> None:
-    """Write `history.csv`, one line per method, preference and generation."""
-    write_whole(directory / "history.csv", csv_text(Record._fields, history))
 
 
 def write_scenario(directory: Path, scenario: Scenario) -> None:

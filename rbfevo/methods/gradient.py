@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -77,6 +79,7 @@ class GradientSearch(Method):
         self._fine, self._problem = problem, problem.coarsened(self.coarse)
         self._side = problem.upper - problem.lower
         self._step, self._sharpness, self._renew = 0, SHARPNESS, True
+        self._exponents: Tensor | None = None
         like = problem.initial.centers
         self._generator = problem.stream(self.name)
         if problem.preferences is None:
@@ -117,6 +120,8 @@ class GradientSearch(Method):
         objectives = torch.stack((spectrum.regularity, spectrum.potential), dim=1)
         if self._renew:
             self._exponents, self._renew = exponents(objectives[:, 0], self._sharpness), False
+        if self._exponents is None:
+            raise UserError("gradient: start it on a problem first")
         log_regularity, slope = soft_regularity(spectrum, self._exponents)
         values, in_regularity, in_potential = self._team.aim(log_regularity, spectrum.potential)
         gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential)
@@ -124,6 +129,28 @@ class GradientSearch(Method):
         self._climb.tell(values, (gradient * self._side).flatten(1))
         self._team.move(self._climb, points, objectives, self._climb.accepted)
         self._step += 1
+
+    def state_dict(self) -> dict[str, Any]:
+        """Elements, team, generator, and how sharp the smooth R is."""
+        return {
+            "step": self._step,
+            "sharpness": self._sharpness,
+            "renew": self._renew,
+            "exponents": None if self._exponents is None else self._exponents.clone(),
+            "climb": self._climb.state_dict(),
+            "team": self._team.state_dict(),
+            "generator": self._generator.get_state(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue with those elements."""
+        self._step, self._sharpness, self._renew = int(state["step"]), float(state["sharpness"]), bool(state["renew"])
+        self._exponents = state["exponents"]
+        self._climb.load_state_dict(state["climb"])
+        self._team.load_state_dict(state["team"], self._climb)
+        self._generator.set_state(state["generator"].cpu())
+        if self._step > self.generations:  # the polish has begun
+            self._problem = self._fine
 
     def _placed(self, points: Tensor) -> Tensor:
         """Points [p, D] of the unit box as points [p, m, d] of the box."""

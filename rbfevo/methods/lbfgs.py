@@ -11,6 +11,9 @@ ARMIJO = 1e-4
 SHRINK = 0.3
 LONGEST = 0.3  # of a step, Euclidean, in units of the box
 REJECTIONS = 8  # in a row, after which the memory is forgotten
+ROWS = ("points", "values", "_gradients", "_direction", "_length", "_rejected", "_trial", "accepted")  # [K, ...]
+PAIRS = ("_steps", "_changes", "_rho")  # [memory, K, ...]
+STATE = (*ROWS, *PAIRS)
 
 
 class LBFGS:
@@ -63,15 +66,24 @@ class LBFGS:
     def only(self, rows: Tensor) -> LBFGS:
         """Elements `rows` [k] alone, with their memory."""
         kept = LBFGS(self.points[rows], len(self._rho), self.first)
-        for name in ("values", "_gradients", "_direction", "_length", "_rejected", "_trial", "accepted"):
+        for name in ROWS[1:]:
             setattr(kept, name, getattr(self, name)[rows])
-        for name in ("_steps", "_changes", "_rho"):
+        for name in PAIRS:
             setattr(kept, name, getattr(self, name)[:, rows])
         return kept
 
     def anew(self, points: Tensor) -> LBFGS:
         """The same method on other points [k, D], without memory."""
         return LBFGS(points, len(self._rho), self.first)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """All that changes, as tensors by name; copies."""
+        return {name: getattr(self, name).clone() for name in STATE}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Continue, bit for bit, where `state_dict` was taken; the number of elements is that of the state."""
+        for name in STATE:
+            setattr(self, name, state[name].to(getattr(self, name)).clone())
 
     def tell(self, values: Tensor, gradients: Tensor) -> None:
         """Take values [K] (maximized) and gradients [K, D] of the points last asked for; NaN is a rejection."""

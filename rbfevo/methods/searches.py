@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -64,6 +65,18 @@ class Nsga2Search(Method):
     def rows(self) -> list[Rows]:
         centers = self._problem.unflatten(self.algorithm.population)
         return [no_preference(self.name, centers, unscored(centers, self.algorithm.objectives))]
+
+    def state_dict(self) -> dict[str, Any]:
+        """The population, its objectives and the generator."""
+        return self.algorithm.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue with that population."""
+        self.algorithm.load_state_dict(state)
+
+    def lengthened(self, steps: int) -> bool:
+        """A generation does not know how many there will be."""
+        return self.steps >= steps
 
 
 class CmaesSearch(Method):
@@ -130,6 +143,22 @@ class CmaesSearch(Method):
     def rows(self) -> list[Rows]:
         centers = self._problem.unflatten(self._best)
         return [Rows(self.name, centers, unscored(centers, self._objectives), self._preferences)]
+
+    def state_dict(self) -> dict[str, Any]:
+        """The strategies, and the best that they have met."""
+        best = {"fitness": self._fitness.clone(), "best": self._best.clone(), "objectives": self._objectives.clone()}
+        return {"algorithm": self._algorithm.state_dict(), **best}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue with those strategies."""
+        self._algorithm.load_state_dict(state["algorithm"])
+        self._fitness, self._best, self._objectives = (
+            state[name].to(self._best).clone() for name in ("fitness", "best", "objectives")
+        )
+
+    def lengthened(self, steps: int) -> bool:
+        """A generation does not know how many there will be."""
+        return self.steps >= steps
 
 
 class Panel:

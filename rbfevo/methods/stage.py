@@ -7,7 +7,7 @@ import dataclasses
 import math
 import zlib
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -114,6 +114,22 @@ class Method(abc.ABC):
     def rows(self) -> list[Rows]:
         """What has been found so far."""
 
+    def state_dict(self) -> dict[str, Any]:
+        """All that steps change, as tensors, numbers and words, by name; copies, so that it stays as it is."""
+        raise NotImplementedError(f"{self.name} has no state to save between its steps")
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue, after `start` on the same problem, bit for bit where `state_dict` was taken.
+
+        Raises:
+            UserError: if the state does not fit the settings.
+        """
+        raise NotImplementedError(f"{self.name} has no state to continue from")
+
+    def lengthened(self, steps: int) -> bool:
+        """Whether a state that was taken under settings of `steps` steps is also one of these settings."""
+        return steps == self.steps
+
     def progress(self) -> list[tuple[float, Tensor]]:
         """For each preference (NaN where none) the objectives [p, 2] that the history's line is made of."""
         return [(math.nan, rows.scores.objectives) for rows in self.rows()]
@@ -155,6 +171,24 @@ class Heuristic(Method):
 
     def rows(self) -> list[Rows]:
         return self._rows
+
+    def state_dict(self) -> dict[str, Any]:
+        """The rows."""
+        return {"rows": [rows_state(rows) for rows in self._rows]}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Take the rows."""
+        self._rows = [rows_of(saved) for saved in state["rows"]]
+
+
+def rows_state(rows: Rows) -> dict[str, Any]:
+    """Rows as tensors and words, by name."""
+    return {**rows._asdict(), "scores": rows.scores._asdict()}
+
+
+def rows_of(state: dict[str, Any]) -> Rows:
+    """Rows from `rows_state`."""
+    return Rows(**{**state, "scores": Scores(**state["scores"])})
 
 
 def no_preference(method: str, centers: Tensor, scores: Scores) -> Rows:

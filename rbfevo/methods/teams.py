@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import abc
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from rbfevo.methods.lbfgs import LBFGS
 from rbfevo.methods.searches import preferred
-from rbfevo.methods.tracing import Aim, Archive, Preference, Tchebycheff, WeightedSum, front_normals
+from rbfevo.methods.tracing import Aim, Archive, Preference, Tchebycheff, WeightedSum, aim_of, front_normals
 from rbfevo.pareto import well_spread
 
 TAU = 0.1
@@ -51,6 +52,14 @@ class Team(abc.ABC):
     def progress(self) -> list[tuple[float, Tensor]]:
         """As `Method.progress`."""
 
+    def state_dict(self) -> dict[str, Any]:
+        """All that steps change, as tensors and numbers by name; copies."""
+        return {"aim": self.aim.state_dict(), "standing": self.standing.clone()}
+
+    def load_state_dict(self, state: dict[str, Any], climb: LBFGS) -> None:
+        """Continue, bit for bit, where `state_dict` was taken, with the elements of `climb`."""
+        self.aim, self.standing, self.points = aim_of(state["aim"]), state["standing"], climb.points
+
     def move(self, climb: LBFGS, tried: Tensor, objectives: Tensor, accepted: Tensor) -> None:
         """Note what was tried [size, D], its objectives [size, 2], and which of it was accepted [size]."""
         self.take(tried, objectives)
@@ -79,6 +88,22 @@ class FrontTeam(Team):
         between = self._kind[ends : starts - ends]
         between[::3], between[1::6] = RANDOM, LLOYD
         self._archive: Archive | None = None
+
+    def state_dict(self) -> dict[str, Any]:
+        """The archive too."""
+        archive = self._archive
+        saved = (
+            None if archive is None else {"points": archive.points.clone(), "objectives": archive.objectives.clone()}
+        )
+        return {**super().state_dict(), "archive": saved}
+
+    def load_state_dict(self, state: dict[str, Any], climb: LBFGS) -> None:
+        """The archive too."""
+        super().load_state_dict(state, climb)
+        saved, self._archive = state["archive"], None
+        if saved is not None:
+            self._archive = Archive(saved["points"], limit=10 * self.front)
+            self._archive.points, self._archive.objectives = saved["points"], saved["objectives"]
 
     def origins(self) -> tuple[Tensor, Tensor]:
         """R from Lloyd and random setups, P from OLS, what lies between from all three."""
@@ -158,6 +183,17 @@ class WishTeam(Team):
         self._value = torch.full_like(self.preferences, -math.inf)
         self._best: Tensor | None = None
         self._objectives = self.preferences.new_zeros(len(self.preferences), 2)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The best for each preference too."""
+        best = None if self._best is None else self._best.clone()
+        found = {"value": self._value.clone(), "best": best, "objectives": self._objectives.clone()}
+        return {**super().state_dict(), **found}
+
+    def load_state_dict(self, state: dict[str, Any], climb: LBFGS) -> None:
+        """The best for each preference too."""
+        super().load_state_dict(state, climb)
+        self._value, self._best, self._objectives = state["value"], state["best"], state["objectives"]
 
     def origins(self) -> tuple[Tensor, Tensor]:
         """Of each preference a quarter random, the others from Lloyd and OLS by turns."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -48,12 +49,20 @@ class Aim(abc.ABC):
     def __call__(self, log_regularity: Tensor, potential: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values [p], gradients [p] in log R, and in P."""
 
+    @abc.abstractmethod
+    def state_dict(self) -> dict[str, Any]:
+        """What it is made of, by name, with the kind of aim; `aim_of` makes it again."""
+
 
 class WeightedSum(Aim):
     """w log R - (1 - w) log(1 - P) with weights w [p]."""
 
     def __init__(self, weights: Tensor) -> None:
         self.weights = weights
+
+    def state_dict(self) -> dict[str, Any]:
+        """The weights."""
+        return {"kind": "weighted sum", "weights": self.weights.clone()}
 
     def __call__(self, log_regularity: Tensor, potential: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values, and both gradients."""
@@ -82,6 +91,11 @@ class Tchebycheff(Aim):
         self.normals, self.span, self.tau = normals.log(), span, tau
         self.origin: Tensor | None = None
 
+    def state_dict(self) -> dict[str, Any]:
+        """Normals, extent, tau, and where each element stands."""
+        parts = {"log_normals": self.normals.clone(), "span": self.span.clone(), "tau": self.tau}
+        return {"kind": "tchebycheff", **parts, "origin": None if self.origin is None else self.origin.clone()}
+
     def __call__(self, log_regularity: Tensor, potential: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values, and both gradients; the first call says where each element stands."""
         rest = 1.0 - potential
@@ -101,10 +115,25 @@ class Preference(Aim):
     def __init__(self, preferences: Tensor) -> None:
         self.preferences = preferences
 
+    def state_dict(self) -> dict[str, Any]:
+        """The preferences."""
+        return {"kind": "preference", "preferences": self.preferences.clone()}
+
     def __call__(self, log_regularity: Tensor, potential: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values, and both gradients."""
         part = self.preferences * log_regularity.exp()
         return part + (1.0 - self.preferences) * potential, part, 1.0 - self.preferences
+
+
+def aim_of(state: dict[str, Any]) -> Aim:
+    """The aim that `state_dict` was taken of."""
+    if state["kind"] == "weighted sum":
+        return WeightedSum(state["weights"])
+    if state["kind"] == "preference":
+        return Preference(state["preferences"])
+    made = Tchebycheff(torch.ones_like(state["log_normals"]), state["span"], state["tau"])
+    made.normals, made.origin = state["log_normals"], state["origin"]  # the logarithm of its exponential is another
+    return made
 
 
 def front_normals(front: Tensor, rows: Tensor, window: float = 0.05) -> tuple[Tensor, Tensor]:

@@ -1,0 +1,58 @@
+"""`resume=RUN`: the words that made a run and are in its checkpoint, with those that may change on the way."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from rbfevo import checkpoint
+from rbfevo.errors import UserError
+
+FREE = re.compile(r"\+{0,2}(checkpoint(\.\w+)?|quiet|device|method(\.\w+)*\.generations)")
+
+
+def split(words: Sequence[str]) -> tuple[Path | None, list[str]]:
+    """The run directory of `resume=RUN`, None if no word says so, and the other words.
+
+    Raises:
+        UserError: if two words say so, or one beside a sweep, or another word may not change on the way.
+    """
+    runs = [word for word in words if word.partition("=")[0] == "resume"]
+    others = [word for word in words if word.partition("=")[0] != "resume"]
+    if not runs:
+        return None, others
+    if len(runs) > 1:
+        raise UserError("resume: one run at a time")
+    if any(word in ("-m", "--multirun") for word in others):
+        raise UserError("resume goes on with one run; to go on with a sweep, start it again in its hydra.sweep.dir")
+    for word in others:
+        if not FREE.fullmatch(word.partition("=")[0]):
+            raise UserError(
+                f"{word}: this may not change while a run goes on; only method.*generations, checkpoint.*, quiet and "
+                "device may"
+            )
+    value = runs[0].partition("=")[2].strip("'\"")
+    if not value:
+        raise UserError("resume=: the directory of a run is expected")
+    run = Path(value)
+    if not run.is_dir():
+        raise UserError(f"resume={value}: {'this is a file, not a' if run.exists() else 'there is no such'} directory")
+    return run, others
+
+
+def recorded(run: Path, others: Sequence[str]) -> list[str]:
+    """The words that a run was made with, `others` in the place of those with the same key.
+
+    Raises:
+        UserError: if there is no checkpoint, or it does not tell them.
+    """
+    words = checkpoint.load(run).get("words")
+    if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
+        raise UserError(f"{run / checkpoint.NAME} does not tell how the run was made: start a new run")
+    changed = {_key(word) for word in others}
+    return [*(word for word in words if _key(word) not in changed), *others]
+
+
+def _key(word: str) -> str:
+    return word.partition("=")[0].lstrip("+~")
