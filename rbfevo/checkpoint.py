@@ -59,7 +59,7 @@ def load(directory: Path) -> dict[str, Any]:
 def _read(directory: Path, whole: bool) -> dict[str, Any]:
     path = directory / NAME
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in (archive.files if whole else ["state"])}
         told = json.loads(arrays.pop("state").tobytes())
         if not isinstance(told, dict) or told.get("format") != FORMAT:

@@ -52,16 +52,14 @@ class Journal:
         self._last = time.monotonic()
 
     def _continue(self) -> None:
-        """Take up the history where the checkpoint left it."""
-        done = self.directory / HISTORY
+        """See that the history goes as far as the checkpoint says; of a run that has results it is `HISTORY`."""
+        path = self._path if self._path.exists() else self.directory / HISTORY
         try:
-            if not self._path.exists() and done.exists():
-                shutil.copyfile(done, self._path)
-            length = self._path.stat().st_size
+            length = path.stat().st_size
         except OSError as error:
-            raise UserError(f"{self._path} cannot be read ({error.strerror or error}): start a new run") from None
+            raise UserError(f"{path} cannot be read ({error.strerror or error}): start a new run") from None
         if length < self._offset:
-            raise UserError(f"{self._path} is shorter than the checkpoint says: start a new run")
+            raise UserError(f"{path} is shorter than the checkpoint says: start a new run")
 
     def record(self, records: Sequence[Record]) -> None:
         """Add lines to the history."""
@@ -90,6 +88,8 @@ class Journal:
         if not self._pending:
             return
         try:
+            if self._offset and not self._path.exists():
+                shutil.copyfile(self.directory / HISTORY, self._path)
             with os.fdopen(os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644), "r+b") as file:
                 file.truncate(self._offset)
                 file.seek(self._offset)
@@ -108,11 +108,12 @@ class Journal:
             UserError: if it cannot be written.
         """
         self._write()
+        path = self._path if self._path.exists() else self.directory / HISTORY
         try:
-            with self._path.open("rb") as file:
+            with path.open("rb") as file:
                 content = file.read(self._offset)
         except OSError as error:
-            raise UserError(f"{self._path} cannot be read: {error.strerror or error}") from None
+            raise UserError(f"{path} cannot be read: {error.strerror or error}") from None
         write_whole(self.directory / HISTORY, content)
 
     def discard(self) -> None:

@@ -116,6 +116,8 @@ class Run:
         self.seconds = 0.0
         self.stop_reason = "budget"
         self.threads = torch.get_num_threads()
+        if progress is not None:
+            self._refuse_others(progress)
 
     def _enough_vertices(self, method: Any) -> None:
         """Raise UserError if a search would look at fewer vertices than twice the centers."""
@@ -144,10 +146,11 @@ class Run:
             problem = self.problem()
             if self._saved is not None:
                 self._resume(self._saved)
+            self._before = len(self.rows)
             for index in range(self._stage_index, len(self.stages)):
-                self._stage_index, self._step, self._before = index, 0, len(self.rows)
                 if interruption.signal is not None:
                     break
+                self._stage_index, self._step, self._before = index, 0, len(self.rows)
                 self._stage(self.stages[index], problem, start, reporter, interruption, journal)
             self.keep(journal, reporter)
         finally:
@@ -217,12 +220,8 @@ class Run:
         """A hash of what is scored, bit for bit."""
         return digest(self.scenario.vertices, self.scenario.gradient, self.scenario.weights)
 
-    def _resume(self, saved: dict[str, Any]) -> None:
-        """Take up what was saved, but for the state of the stage that it was saved in, which that stage takes.
-
-        Raises:
-            UserError: if it was saved on another design, or the budgets have changed so that it does not fit.
-        """
+    def _refuse_others(self, saved: dict[str, Any]) -> None:
+        """Raise UserError if it was saved on another design, or the budgets have changed so that it does not fit."""
         if saved["design"] != self._design:
             raise UserError("the scenario has another mesh or gradient than when the run began (has a file changed?)")
         index, step = int(saved["stage"]), int(saved["step"])
@@ -236,7 +235,10 @@ class Run:
                 if stage.steps > steps and place == index:
                     why = "its plan depends on their number from the start"
                 raise UserError(f"method={stage.name}: the generations cannot be changed on the way: {why}")
-        self._stage_index = index
+
+    def _resume(self, saved: dict[str, Any]) -> None:
+        """Take up what was saved, but for the state of the stage that it was saved in, which that stage takes."""
+        self._stage_index = int(saved["stage"])
         self.rows += [rows_of(state) for state in saved["rows"]]
         self.warnings += [warning for warning in saved["warnings"] if warning not in self.warnings]
         self._count(saved)
