@@ -4,8 +4,7 @@
     python -m benchmarks.numbers --page     # writes the tables into docs/reliability-numbers.md again
 
 Every setup is brought to a wanted condition number of Phi by moving two or three of its centers together, then scored
-by the evaluator, by the definition, and at 90 digits, in Python's integers (tests/test_numbers.py holds them against
-mpmath's singular values).
+by the evaluator, by the definition, and at 90 digits (`benchmarks.digits`).
 benchmarks/numbers.csv holds all scores, benchmarks/numbers-units.csv those of one setup in 13 model units.
 """
 
@@ -15,20 +14,19 @@ import argparse
 import csv
 import functools
 import math
-import operator
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import mpmath
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from benchmarks.choosing import markdown, write
+from benchmarks.digits import Design, exact
 from rbfevo.deformation import MANIPULATIONS
 from rbfevo.evaluator import Evaluator
 from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland
@@ -37,23 +35,13 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "reliability-numbers.md"
 TABLE, UNITS = (ROOT / "benchmarks" / name for name in ("numbers.csv", "numbers-units.csv"))
 EPS = 2.0**-52
-BITS = 300  # behind the point
 KERNELS: dict[str, Kernel] = {"Wendland": Wendland(0.5), "r^2 log r": ThinPlate(), "r^3": Cubic()}
 COUNTS = (1, 2, 5, 25, 50, 100, 200)
 CASES = {"spread": 0, "pair": 1, "three": 2, "duplicate": 1}  # how many centers are moved to the first one
 VERTICES = 400
-Integers = NDArray[Any]  # of Python's, in units of 2^-BITS
-Point = tuple[int, ...]  # in units of 2^-BITS
 
 
-class Design(NamedTuple):
-    """Vertices [n, d] of the plane or the sphere and a smooth gradient [n, k] of unit norm."""
-
-    vertices: Tensor
-    gradient: Tensor
-
-
-def points(d: int, count: int, shift: float) -> NDArray[np.float64]:
+def points(d: int, count: int, shift: float) -> NDArray[Any]:
     """Evenly spread points [count, d]: of [0, 1] x [0, 2], or of the unit sphere."""
     i = np.arange(count) + 0.5
     if d == 2:
@@ -96,134 +84,16 @@ def conditioned(kernel: Kernel, m: int, case: str, wanted: float) -> Tensor | No
     """The setup whose Phi has the wanted condition number, by bisection over h; None if there is none."""
     deformation = Evaluator(*design(dimension(kernel)), kernel).deformation
     low, high = math.log(1e-16), math.log(0.2)
-    C, condition = None, math.nan
+    C, found = None, math.nan
     for _ in range(25):
         middle = 0.5 * (low + high)
         C = setup(kernel, m, case, math.exp(middle))
         if C is None:
             return None
         sigma = torch.linalg.svdvals(deformation.phi(C))
-        condition = float(sigma[0] / sigma[-1].clamp(min=1e-300))
-        low, high = (middle, high) if condition > wanted else (low, middle)
-    return C if 0.5 < condition / wanted < 2.0 else None
-
-
-# ------------------------------------------------------------------ many digits
-
-
-def integer(x: float) -> int:
-    """A float64 number in units of 2^-BITS: exactly, if it is 0 or not below 2^-248."""
-    numerator, denominator = x.as_integer_ratio()
-    return (numerator << BITS) // denominator
-
-
-def phi(kernel: Kernel, a: Point, b: Point) -> int:
-    """phi(|a - b|) of two points in units of 2^-BITS."""
-    square = sum((s - t) ** 2 for s, t in zip(a, b, strict=True))  # in units of 2^(-2 BITS)
-    if isinstance(kernel, ThinPlate):
-        if square == 0:
-            return 0
-        with mpmath.workprec(BITS + 40):
-            logarithm = mpmath.log(mpmath.ldexp(square, -2 * BITS))
-            return (square * int(mpmath.ldexp(logarithm, BITS))) >> (2 * BITS + 1)
-    r = math.isqrt(square)
-    if isinstance(kernel, Wendland):
-        q = (r << BITS) // integer(kernel.support)
-        one = 1 << BITS
-        return ((one - q) ** 4 * (4 * q + one)) >> (4 * BITS) if q < one else 0
-    return (square * r) >> (2 * BITS)
-
-
-@functools.cache
-def column(kernel: Kernel, center: Point, some: Design) -> list[int]:
-    """A column of Phi [n]; setups share most of theirs."""
-    return [phi(kernel, x, center) for x in integers(some.vertices)]
-
-
-@functools.cache
-def product(kernel: Kernel, a: Point, b: Point, some: Design) -> int:
-    """The inner product of two columns."""
-    return sum(map(operator.mul, column(kernel, a, some), column(kernel, b, some))) >> BITS
-
-
-def integers(some: Tensor) -> list[Point]:
-    """Rows of a matrix in units of 2^-BITS."""
-    return [tuple(map(integer, row)) for row in some.tolist()]
-
-
-def cholesky(G: Integers) -> Integers:
-    """L with G = L L^T."""
-    L = np.zeros_like(G)
-    for j in range(len(G)):
-        rest = (G[j:, j] << BITS) - L[j:, :j] @ L[j, :j] if j else G[:, 0] << BITS
-        L[j:, j] = rest // math.isqrt(rest[0])
-    return L
-
-
-def forward(L: Integers, B: Integers) -> Integers:
-    """L^-1 B by forward substitution."""
-    X = B.copy()
-    for i in range(len(L)):
-        X[i] = ((B[i] << BITS) - (L[i, :i] @ X[:i] if i else 0)) // L[i, i]
-    return X
-
-
-def solve(A: Integers, B: Integers) -> Integers | None:
-    """A^-1 B by Gaussian elimination with row pivoting; None if A is singular."""
-    M, m = np.concatenate([A, B], axis=1), len(A)
-    for j in range(m):
-        pivot = j + max(range(m - j), key=lambda i: abs(M[j + i, j]))
-        if M[pivot, j] == 0:
-            return None
-        M[[j, pivot]] = M[[pivot, j]]
-        M[j, j + 1 :] = (M[j, j + 1 :] << BITS) // M[j, j]
-        M[j + 1 :, j + 1 :] -= (M[j + 1 :, j, None] * M[j, None, j + 1 :]) >> BITS
-    for j in range(m - 1, 0, -1):
-        M[:j, m:] -= (M[:j, j, None] * M[j, None, m:]) >> BITS
-    return M[:, m:]
-
-
-def norm(A: Integers) -> Any:
-    """The largest singular value: the Rayleigh quotient at float64's singular vector, whose error it squares."""
-    size = max(int(abs(A).max()).bit_length() - 900, 0)
-    v = np.linalg.svd((A >> size).astype(np.float64))[2][0]
-    w = np.array([integer(x) for x in v.tolist()], dtype=object)
-    return mpmath.sqrt(mpmath.mpf(int(((A @ w) ** 2).sum())) / int((w * w).sum())) / mpmath.ldexp(1, BITS)
-
-
-class Exact(NamedTuple):
-    """Condition numbers of Phi and Psi (infinite where singular), R for each manipulation, and P."""
-
-    of_phi: float
-    of_psi: float
-    indirect: float
-    direct: float
-    potential: float
-
-
-def exact(kernel: Kernel, centers: Tensor, some: Design) -> Exact:
-    """Scores of a setup [m, d] at 90 digits; centers that coincide count once for P."""
-    C = list(dict.fromkeys(integers(centers)))
-    G, Psi = (
-        np.array([[entry(*sorted((a, b))) for a in C] for b in C], dtype=object)
-        for entry in (lambda a, b: product(kernel, a, b, some), lambda a, b: phi(kernel, a, b))
-    )
-    columns = np.array([column(kernel, c, some) for c in C], dtype=object)
-    g = np.array(integers(some.gradient), dtype=object)
-    with mpmath.workprec(BITS):
-        L = cholesky(G)
-        size = mpmath.ldexp(1, 2 * BITS)
-        potential = float(mpmath.mpf(int((forward(L, (columns @ g) >> BITS) ** 2).sum())) / size)
-        one = np.diag([1 << BITS] * len(C)).astype(object)
-        if len(C) < len(centers):
-            return Exact(math.inf, math.inf, 0.0, 0.0, potential)
-        of_phi = norm(L) * norm(forward(L, one))
-        inverse = solve(Psi, np.concatenate([one, L], axis=1))
-        if inverse is None:
-            return Exact(float(of_phi), math.inf, float(1 / of_phi), 0.0, potential)
-        of_psi = norm(Psi) * norm(inverse[:, : len(C)])
-        of_u = norm(inverse[:, len(C) :]) * norm(forward(L, Psi))
-        return Exact(float(of_phi), float(of_psi), float(1 / of_phi), float(1 / of_u), potential)
+        found = float(sigma[0] / sigma[-1].clamp(min=1e-300))
+        low, high = (middle, high) if found > wanted else (low, middle)
+    return C if 0.5 < found / wanted < 2.0 else None
 
 
 # ------------------------------------------------------------------ measurements
@@ -305,15 +175,21 @@ def cut(line: Line, path: str) -> bool:
 def largest(values: Iterable[float]) -> str:
     """The largest of what is there, shortly."""
     known = [value for value in values if not math.isnan(value)]
-    return f"{max(known):.0e}".replace("e-0", "e-").replace("e+0", "e") if known else ""
+    return f"{max(known):.0e}".replace("0e+00", "0").replace("e-0", "e-").replace("e+0", "e") if known else ""
 
 
-def by_decade(lines: list[Line], key: str) -> str:
-    """The errors of lines of one manipulation by the nearest decade of a condition number, up to 1e16."""
+def condition(line: Line) -> float:
+    """What errors of R grow with: the condition number of Phi and, for direct, of Psi if that is larger."""
+    of_phi, of_psi = float(line["cond_Phi"]), float(line["cond_Psi"])
+    return of_phi if line["manipulation"] == "indirect" else max(of_phi, of_psi)
+
+
+def by_decade(lines: list[Line]) -> str:
+    """The errors of lines of one manipulation by the nearest decade of the condition number, up to 1e16."""
     groups: dict[int, list[Line]] = {}
     for line in lines:
-        if math.isfinite(float(line[key])):
-            groups.setdefault(min(round(math.log10(float(line[key]))), 16), []).append(line)
+        if math.isfinite(condition(line)):
+            groups.setdefault(min(round(math.log10(condition(line))), 16), []).append(line)
     table = []
     for decade, group in sorted(groups.items()):
         row = [f"1e{decade}{' and more' if decade == 16 else ''}", str(len(group))]
@@ -322,9 +198,8 @@ def by_decade(lines: list[Line], key: str) -> str:
         for count in (cut, within):
             row += [str(sum(count(line, path) for line in group)) for path in PATHS]
         table.append(row)
-    of = {"cond_Phi": "cond(Phi)", "cond_Psi": "cond(Psi)"}[key]
     both = [f"{what}, {path}" for what in ("dR/R", "dP", "R cut to 0", "within") for path in PATHS]
-    return markdown((of, "setups", *both), table)
+    return markdown(("condition", "setups", *both), table)
 
 
 def growth(lines: list[Line], key: str) -> str:
@@ -332,17 +207,27 @@ def growth(lines: list[Line], key: str) -> str:
     table = []
     for value in dict.fromkeys(line[key] for line in lines):
         row = [value]
-        for manipulation, of, part in (
-            ("indirect", "cond_Phi", 0),
-            ("direct", "cond_Psi", 0),
-            ("indirect", "cond_Phi", 1),
-        ):
+        for manipulation, part in (("indirect", 0), ("direct", 0), ("indirect", 1)):
             group = [line for line in lines if (line[key], line["manipulation"]) == (value, manipulation)]
-            group = [line for line in group if math.isfinite(float(line[of])) and not cut(line, "definition")]
-            row += [largest(error(line, path)[part] / (EPS * float(line[of])) for line in group) for path in PATHS]
+            group = [line for line in group if math.isfinite(condition(line)) and not cut(line, "definition")]
+            row += [largest(error(line, path)[part] / (EPS * condition(line)) for line in group) for path in PATHS]
         table.append(row)
-    heads = ("dR/R indirect over eps cond(Phi)", "dR/R direct over eps cond(Psi)", "dP over eps cond(Phi)")
+    heads = ("dR/R, indirect", "dR/R, direct", "dP")
     return markdown((key, *(f"{head}, {path}" for head in heads for path in PATHS)), table)
+
+
+def ends(lines: list[Line]) -> str:
+    """By kernel and manipulation: the least condition number of a setup that is not within, and of one that is cut."""
+    table = []
+    for kernel, manipulation in dict.fromkeys((line["kernel"], line["manipulation"]) for line in lines):
+        group = [line for line in lines if (line["kernel"], line["manipulation"]) == (kernel, manipulation)]
+        group = [line for line in group if math.isfinite(condition(line))]
+        row = [kernel, manipulation]
+        for found in (lambda line, path: not within(line, path) and not cut(line, path), cut):
+            row += [f"{min(condition(line) for line in group if found(line, path)):.1e}" for path in PATHS]
+        table.append(row)
+    heads = (f"{what}, {path}" for what in ("not within from", "R cut to 0 from") for path in PATHS)
+    return markdown(("kernel", "manipulation", *heads), table)
 
 
 def duplicates(lines: list[Line]) -> str:
@@ -393,8 +278,9 @@ def page(lines: list[Line], units: list[Line]) -> None:
     text = PAGE.read_text(encoding="utf-8")
     indirect, direct = ([line for line in lines if line["manipulation"] == name] for name in MANIPULATIONS)
     tables = {
-        "indirect": by_decade(indirect, "cond_Phi"),
-        "direct": by_decade(direct, "cond_Psi"),
+        "indirect": by_decade(indirect),
+        "direct": by_decade(direct),
+        "ends": ends(lines),
         "kernels": growth(lines, "kernel"),
         "counts": growth(lines, "m"),
         "duplicates": duplicates(lines),

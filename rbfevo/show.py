@@ -163,7 +163,7 @@ def _own(path: Path) -> bool:
 
 def _run(command: list[str], timeout: float, what: str, run: Path) -> None:
     """Draw in a process of its own, which a missing OpenGL may kill."""
-    code, reason = processes._attempt(command, timeout)
+    code, reason = processes.attempt(command, timeout)
     reason = reason.removeprefix("rbfevo.show: ")
     if code == processes.USER_ERROR:
         raise UserError(reason)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import pyvista
+import torch
 from scipy.spatial.distance import cdist
 from test_figures import change, write
 
@@ -19,6 +20,7 @@ from rbfevo.errors import UserError
 from rbfevo.figures import __main__ as command_line
 from rbfevo.figures.report import content, page
 from rbfevo.figures.report.surface import surface_of
+from rbfevo.pareto import nondominated
 from rbfevo.record import Record, read
 
 
@@ -228,26 +230,44 @@ def test_a_page_of_20000_vertices_and_300_setups_is_below_15_megabytes(tmp_path)
         "faces": np.asarray(ball.regular_faces),
         "gradient": g / np.linalg.norm(g),
     }
-    box = {"lower": -np.ones(3), "upper": np.ones(3)}
-    np.savez(tmp_path / "scenario.npz", **mesh, **box, weights=rng.uniform(1, 2, len(vertices)))
+    mesh |= {"lower": -np.ones(3), "upper": np.ones(3), "weights": rng.uniform(1, 2, len(vertices))}
+    np.savez(tmp_path / "scenario.npz", **mesh)
     setups: dict[str, Any] = {
         "centers": rng.normal(size=(p, m, 3)),
         "method": np.repeat("gradient", p),
         "preference": np.full(p, np.nan),
     }
-    scores = {name: rng.uniform(size=p) for name in ("regularity", "improvement_potential", "variability")}
-    np.savez(tmp_path / "setups.npz", **setups, **scores, nondominated=np.ones(p, bool))
+    setups |= {name: rng.uniform(size=p) for name in ("regularity", "improvement_potential", "variability")}
+    np.savez(tmp_path / "setups.npz", **setups, nondominated=np.ones(p, bool))
     (tmp_path / "summary.json").write_text(json.dumps({"scenario": "mesh", "kernel": "wendland", "support": 1.0}))
     assert command_line.main([str(tmp_path), "--only", "report"]) == 0
     assert 5e6 < (tmp_path / "report.html").stat().st_size < 15e6
 
 
+def many(run: Path, copies: int, m: int = 6) -> Path:
+    """A run of 24 times as many setups, each as often as the others."""
+    write(run, m=m)
+    with np.load(run / "setups.npz") as archive:
+        repeated: dict[str, Any] = {name: np.concatenate([array] * copies) for name, array in archive.items()}
+    rng = np.random.default_rng(0)
+    repeated["regularity"] = repeated["regularity"] * rng.uniform(0.5, 1, len(repeated["regularity"]))
+    scores = np.stack([repeated["regularity"], repeated["improvement_potential"]], axis=1)
+    repeated["nondominated"] = nondominated(torch.from_numpy(scores)).numpy()
+    np.savez(run / "setups.npz", **repeated)
+    return run
+
+
+def test_of_too_many_setups_dominated_ones_are_left_out(tmp_path):
+    record = read(many(tmp_path, 250))
+    seen = told(tmp_path)
+    rows = np.array(seen["runs"][0]["rows"])
+    assert 3000 < len(rows) <= 4100
+    assert set(np.flatnonzero(record.nondominated)) <= set(rows)
+    assert seen["left_out"] == 6000 - len(rows)
+    assert f"{seen['left_out']:,} dominated ones left out" in seen["subtitle"]
+
+
 # --- written whole ---------------------------------------------------------------------------------------------------
-
-
-def test_the_page_is_drawn_with_the_other_figures(tmp_path):
-    assert command_line.main([str(write(tmp_path))]) == 0
-    assert {path.name for path in tmp_path.iterdir()} >= {"front.png", "centers.png", "report.html"}
 
 
 def test_a_page_that_cannot_be_written_is_one_line(tmp_path, capsys):

@@ -184,27 +184,47 @@ def test_picks_are_those_of_the_command_line(page, run_of, digits):
         for words, order in (("best-regularity", "'R', 'P'"), ("best-improvement-potential", "'P', 'R'")):
             assert told(page, scores, f"rbfevo.bestOf(setups, {order}).index") == pick(record, words)
         for preference in (0.0, 0.3, 0.5, 0.81, 1.0):
-            found = told(page, scores, f"rbfevo.preferred(setups, front, {preference}, false).index")
+            found = told(page, scores, f"rbfevo.preferred(setups, {preference}).index")
             assert found == pick(record, f"preference:{preference}")
 
 
-@pytest.mark.parametrize("scaled", ["true", "false"])
-def test_the_slider_goes_where_it_would_choose_the_setup(page, scaled):
+def test_preferences_of_a_setup_are_those_that_choose_it(page):
     scores = np.random.default_rng(5).uniform(size=(24, 2))
-    ranges = told(page, scores, f"setups.map((setup) => rbfevo.preferencesOf(setup, setups, front, {scaled}))")
+    ranges = told(page, scores, "setups.map((setup) => rbfevo.preferencesOf(setup, setups))")
     assert sum(found is not None for found in ranges) > 2
     for row, found in enumerate(ranges):
         if found is not None:
             for preference in (0.99 * found[0] + 0.01 * found[1], 0.01 * found[0] + 0.99 * found[1]):
-                assert told(page, scores, f"rbfevo.preferred(setups, front, {preference}, {scaled}).index") == row
+                assert told(page, scores, f"rbfevo.preferred(setups, {preference}).index") == row
 
 
-def test_the_slider_says_where_no_preference_leads_to_a_setup(page, run_of):
+def test_the_slider_walks_along_the_whole_front(page, run_of):
+    record = read(run_of("sphere"))
+    front = record.front.tolist()
+    for place, row in zip(np.linspace(0, 1, len(front)), front, strict=True):
+        page.fill("#preference", str(place))
+        assert chosen(page) == row
+    assert front[0] == pick(record, "best-improvement-potential")
+    assert front[-1] == pick(record, "best-regularity")
+
+
+def test_the_slider_can_be_that_of_the_command_line(page, run_of):
+    record = read(run_of("sphere"))
+    page.check("#weighted")
+    for preference in (0.0, 0.25, 0.4, 0.5, 0.75, 1.0):
+        page.fill("#preference", str(preference))
+        assert page.text_content("#preference-value") == f"{preference:.2f}"
+        assert chosen(page) == pick(record, f"preference:{preference}")
+    page.uncheck("#weighted")
+
+
+def test_the_slider_says_where_none_of_its_places_leads_to_a_setup(page, run_of):
     page.click('#setups tr[data-index="0"] button')  # dominated
     assert not read(run_of("sphere")).nondominated[0]
     assert page.text_content("#preference-value") == "none"
     page.keyboard.press("r")
-    assert page.text_content("#preference-value") != "none"
+    assert page.text_content("#preference-value") == "1.00"
+    assert f"row {chosen(page)}, " in (page.get_attribute("#preference", "aria-valuetext") or "")
 
 
 @pytest.mark.parametrize("digits", [1, 16])
@@ -214,20 +234,13 @@ def test_the_page_of_a_sweep_finds_the_front_itself(page, digits):
     assert found == np.flatnonzero(pareto.nondominated(torch.tensor(scores)).numpy()).tolist()
 
 
-def test_scaled_scores_walk_along_a_front_with_tiny_regularities(page):
-    angle = np.linspace(0, np.pi / 2, 24)
-    scores = np.stack([1e-4 * np.sin(angle), np.cos(angle)], axis=1)
-    stops = "new Set([...Array(101).keys()].map((step) => rbfevo.preferred(setups, front, step / 100, SCALED))).size"
-    assert told(page, scores, stops.replace("SCALED", "false")) < 5
-    assert told(page, scores, stops.replace("SCALED", "true")) == 24
-
-
 # --- choosing --------------------------------------------------------------------------------------------------------
 
 
 def test_a_click_on_a_setup_shows_its_centers(page, run_of):
     record = read(run_of("sphere"))
     row = int(np.argmin(record.improvement_potential))  # far from all others
+    page.evaluate("() => scrollTo(0, 0)")
     place = page.evaluate(
         "([R, P]) => { const plot = document.getElementById('front'), box = plot.getBoundingClientRect();"
         " const full = plot._fullLayout;"
@@ -263,8 +276,9 @@ def test_the_slider_moves_by_the_keyboard(page):
     page.focus("#preference")
     page.keyboard.press("Home")
     assert page.text_content("#preference-value") == "0.00"
+    step = float(page.get_attribute("#preference", "step") or 0)
     page.keyboard.press("ArrowRight")
-    assert page.text_content("#preference-value") == "0.01"
+    assert page.text_content("#preference-value") == f"{step:.2f}"
     page.keyboard.press("End")
     assert page.text_content("#preference-value") == "1.00"
 
@@ -275,7 +289,7 @@ def test_everything_can_be_reached_by_the_tab_key(page):
     for _ in range(60):
         page.keyboard.press("Tab")
         reached_ids.add(page.evaluate("() => ((now) => now.id || now.name || now.dataset.key)(document.activeElement)"))
-    controls = "keys-button preference scaled logarithmic best-potential knee best-regularity color shape see-through"
+    controls = "keys-button preference weighted logarithmic best-potential knee best-regularity color shape see-through"
     controls += " keep save-centers save-picture turn-back only-front R P"
     assert reached_ids >= set(controls.split())
 
@@ -288,6 +302,34 @@ def test_keys_are_told_and_do_nothing_else_meanwhile(page):
     assert chosen(page) == before
     page.keyboard.press("Escape")
     assert not page.locator("#keys").is_visible()
+
+
+def test_letters_can_be_ordinary_letters(page):
+    before = chosen(page)
+    page.keyboard.press("?")
+    page.uncheck("#letters")
+    page.keyboard.press("Escape")
+    page.keyboard.press("r")
+    assert chosen(page) == before
+    page.click("#keys-button")
+    page.check("#letters")
+    page.keyboard.press("Escape")
+    page.keyboard.press("R")  # as with Caps Lock
+    assert chosen(page) != before
+
+
+def test_no_button_of_the_library_sends_anything_away(page):
+    page.hover("#front .nsewdrag")
+    titles = page.eval_on_selector_all(".modebar-btn", "(found) => found.map((button) => button.dataset.title)")
+    assert set(titles) <= {"Zoom", "Pan", "Reset axes", "Reset"}
+    assert titles
+
+
+def test_a_button_that_copies_has_its_words_back(page):
+    for _ in range(2):
+        page.click("#copy-bibtex")
+    page.wait_for_function("() => document.getElementById('copy-bibtex').textContent === 'Copied'")
+    page.wait_for_function("() => document.getElementById('copy-bibtex').textContent === 'Copy'")
 
 
 def test_a_choice_is_told_to_those_who_listen(page):
@@ -494,7 +536,7 @@ def odd(browser, tmp_path_factory) -> Iterator[Page]:
 
 def test_a_setup_of_regularity_0_is_drawn_and_explained(odd):
     assert odd.is_checked("#logarithmic")
-    assert "does not change the design at all" in (odd.text_content("#cards") or "")
+    assert "does not change the design" in (odd.text_content("#cards") or "")
     xs = odd.evaluate(
         "() => document.getElementById('front').data.flatMap((trace) => (trace.customdata ? [...trace.x] : []))"
     )
@@ -536,7 +578,7 @@ def test_a_single_setup_has_a_page(browser, tmp_path):
 
 def test_a_sweep_compares_and_filters_its_runs(browser, tmp_path):
     for number, (kernel, seed) in enumerate(itertools.product(("wendland", "triharmonic"), (0, 1))):
-        write(tmp_path / str(number), kernel=kernel, seed=seed, methods=("random", "gradient"))
+        write(tmp_path / f"50%,{number}", kernel=kernel, seed=seed, methods=("random", "gradient"))
     assert collect.main([str(tmp_path)]) == 0
     with opened(browser, tmp_path / "report.html") as page:
         assert "wendland" in (page.text_content("#sentences") or "")
@@ -544,17 +586,32 @@ def test_a_sweep_compares_and_filters_its_runs(browser, tmp_path):
         assert sorted(groups) == ["triharmonic", "wendland"]
         medians = page.evaluate("() => document.getElementById('spread').data[1].x")
         assert sorted(medians) == medians  # the best on top
-        assert set(column(page, "run")) <= {"0", "1", "2", "3"}
+        assert set(column(page, "run")) <= {f"50%,{number}" for number in range(4)}
         page.select_option('[data-setting="kernel"]', "triharmonic")
         page.wait_for_function("() => rbfevo.state.visible.every((setup) => setup.run.kernel === 'triharmonic')")
-        assert set(column(page, "run")) <= {"2", "3"}
+        assert set(column(page, "run")) <= {"50%,2", "50%,3"}
         run = read(tmp_path / str(page.evaluate("() => rbfevo.state.chosen.run.name")))
         assert run.summary["kernel"] == "triharmonic"
         page.keyboard.press("p")
-        best = max(float(read(tmp_path / name).improvement_potential.max()) for name in ("2", "3"))
+        best = max(float(read(tmp_path / name).improvement_potential.max()) for name in ("50%,2", "50%,3"))
         assert page.evaluate("() => rbfevo.state.chosen.P") == best
+        page.keyboard.press("c")
+        page.select_option('[data-setting="kernel"]', "wendland")
+        assert page.evaluate("() => rbfevo.state.kept.run.kernel") == "triharmonic"
+        assert page.locator("#view-b").is_visible()
+        page.evaluate("() => rbfevo.state.filter('kernel', 'another')")
+        assert page.locator("#nothing").is_visible()
+        assert not page.locator("#front").is_visible()
+        page.evaluate("() => rbfevo.state.filter('kernel', '')")
+        assert page.locator("#front").is_visible()
+        assert not page.locator("#nothing").is_visible()
+        place = page.evaluate("() => location.hash")
+        assert "50%25" in place
+        page.evaluate("() => { location.hash = '#setup=nothing%20of%20this:1'; }")
+        page.evaluate("(place) => { location.hash = place; }", place)
+        settled(page)
         page.select_option("#measure", "best_regularity")
-        expected = [np.median([read(tmp_path / n).regularity.max() for n in names]) for names in ("01", "23")]
+        expected = [np.median([read(tmp_path / f"50%,{n}").regularity.max() for n in names]) for names in ("01", "23")]
         assert page.evaluate("() => document.getElementById('spread').data[1].x") == sorted(expected)
 
 
@@ -636,3 +693,32 @@ def test_without_webgl_the_front_and_the_table_still_work(browser, run_of):
     assert "WebGL" in (page.text_content("#view-hint") or "")
     assert column(page, "row")
     context.close()
+
+
+# --- far from the origin, and on a phone -----------------------------------------------------------------------------
+
+
+def test_a_design_far_from_the_origin_on_a_phone(browser, tmp_path):
+    """Views have single precision: they draw about the middle. Fingers scroll, the slider is wide, labels are whole."""
+
+    def far(points):
+        return points + np.array([1e7, -3e6, 5e5])
+
+    run = write(tmp_path, d=3)
+    change(change(run, centers=far), "scenario.npz", vertices=far, lower=far, upper=far)
+    record = read(run)
+    with opened(browser, drawn(run), viewport=PHONE, has_touch=True, is_mobile=True) as page:
+        x, y, z = page.evaluate("() => ['x', 'y', 'z'].map((axis) => document.getElementById('space-a').data[1][axis])")
+        middle = (record.vertices.min(axis=0) + record.vertices.max(axis=0)) / 2
+        balls = np.stack([x, y, z], axis=1).reshape(6, -1, 3).mean(axis=1)
+        assert np.abs(balls + middle - record.centers[chosen(page)]).max() < 0.01
+        assert red(picture(page, "#space-a")) > 60
+        slider = page.locator("#preference").bounding_box()
+        assert slider is not None
+        assert slider["width"] > 0.7 * PHONE["width"]
+        assert page.locator(".modebar-btn").count() == 0
+        actions = page.eval_on_selector_all(
+            "#space-a, #space-a *", "(all) => all.map((each) => getComputedStyle(each).touchAction)"
+        )
+        assert set(actions) <= {"pan-y", "auto"}
+        assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth")

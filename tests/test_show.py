@@ -363,7 +363,7 @@ def drawn(monkeypatch) -> list[list[str]]:
             Path(words[words.index("--out") + 1]).write_bytes(f"tEXtSoftware\0{SOFTWARE}".encode())
         return 0, ""
 
-    monkeypatch.setattr(processes, "_attempt", attempt)
+    monkeypatch.setattr(processes, "attempt", attempt)
     return commands
 
 

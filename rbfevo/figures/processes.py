@@ -53,11 +53,11 @@ def draw_one(run: Path, figure: str) -> Outcome:
 
 def draw_apart(figure: str, words: list[str], rendered: bool, timeout: float = TIMEOUT) -> Outcome:
     """Run the command that draws `figure`; once more with --no-opengl if it is `rendered` and breaks down."""
-    code, reason = _attempt(words, timeout)
+    code, reason = attempt(words, timeout)
     if code == 0:
         return Outcome(0, None)
     again = rendered and code not in (USER_ERROR, TOO_LONG)  # without OpenGL it takes no less time
-    if again and _attempt([*words, "--no-opengl"], timeout)[0] == 0:
+    if again and attempt([*words, "--no-opengl"], timeout)[0] == 0:
         return Outcome(0, f"{file_of(figure)} was drawn without OpenGL: {reason}")
     return Outcome(USER_ERROR if code == USER_ERROR else 1, f"{file_of(figure)} could not be drawn: {reason}")
 
@@ -67,7 +67,7 @@ def command(run: Path, figure: str, *options: str) -> list[str]:
     return [sys.executable, "-m", "rbfevo.figures", os.path.abspath(run), "--only", figure, *options]  # noqa: PTH100
 
 
-def _attempt(words: list[str], timeout: float) -> tuple[int, str]:
+def attempt(words: list[str], timeout: float) -> tuple[int, str]:
     """Run a command and return its exit code and, unless that is 0, the reason in one line."""
     package_root = str(Path(__file__).resolve().parents[2])
     inherited = os.environ.get("PYTHONPATH")

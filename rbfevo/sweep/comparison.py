@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rbfevo.sweep.members import word
-from rbfevo.sweep.tables import ALL, FIRST, QUANTITIES, Group, Spread, origins_of
+from rbfevo.sweep.tables import ALL, FIRST, QUANTITIES, Group, origins_of
 
 Value = tuple[Any, ...]  # of one or more settings that are compared together
+ENOUGH = 5  # seeds: by chance alone all of five lead all of five others in 1 of 252 cases
 LEVEL = 1e-9  # two medians closer than this, relatively, are level
 
 
@@ -103,10 +104,13 @@ def _leaders(groups: Sequence[Group], keys: Sequence[str]) -> Iterator[str]:
         order = [group for group in rivals if math.isfinite(group.spreads[key].median)]
         order.sort(key=lambda group: -group.spreads[key].median)
         if order:
-            (first, *others), spreads = order, [group.spreads[key] for group in order]
+            first, *others = order
             what = key.replace("_", " ").removeprefix("best ")
-            told = f"best {what}: {name_of(first, keys, groups)}: {_spread_told(first, key)}"
-            yield f"{told}; {_lead(spreads, order, [name_of(group, keys, groups) for group in others])}"
+            if others:
+                told = f"best {what}: {name_of(first, keys, groups)}: {_spread_told(first, key)}"
+                yield f"{told}; {_lead(key, order, [name_of(group, keys, groups) for group in others])}"
+            else:
+                yield f"{'' if what == 'hypervolume' else 'best '}{what}: {_spread_told(first, key)}"
 
 
 def _spread_told(group: Group, key: str) -> str:
@@ -116,21 +120,23 @@ def _spread_told(group: Group, key: str) -> str:
     return f"median {median:.4g} (quartiles {lower:.4g} to {upper:.4g}, {group.seeds} seeds)"
 
 
-def _lead(spreads: Sequence[Spread], order: Sequence[Group], names: Sequence[str]) -> str:
-    """How clear the lead of the first one is."""
-    if not names:
-        return "there is nothing to compare it with"
-    level = [name for name, other in zip(names, spreads[1:], strict=True) if _ratio(spreads[0][0], other[0]) == 1]
+def _lead(key: str, order: Sequence[Group], names: Sequence[str]) -> str:
+    """How clear the lead of the first one in `key` is over the others, which have these names."""
+    first, second = order[:2]
+    medians = [group.spreads[key].median for group in order]
+    level = [name for name, median in zip(names, medians[1:], strict=True) if _ratio(medians[0], median) == 1]
     if level:
         return f"level with it: {'; '.join(level)}"
-    ahead = f"next {names[0]} with {spreads[1].median:.4g}"
-    if min(order[0].seeds, order[1].seeds) == 1:
-        return f"{ahead}; one seed shows no spread, so whether the lead is clear is not known"
-    overlapping = sum(other.upper >= spreads[0].lower for other in spreads[1:])
-    if overlapping:
-        ranges = "range of another one overlaps" if overlapping == 1 else f"ranges of {overlapping} others overlap"
-        return f"{ahead}; the lead is not clear: the interquartile {ranges}"
-    return f"{ahead}; the lead is clear: no other interquartile range overlaps"
+    ahead = f"next {names[0]} with {medians[1]:.4g}"
+    others = {name for name, value in first.settings.items() if value != second.settings[name]}
+    if key == "best_improvement_potential" and others == {"manipulation"} and first.series == second.series:
+        return f"{ahead}, by chance: P does not depend on the manipulation"
+    fewest = min(first.seeds, second.seeds)
+    if fewest < ENOUGH:
+        return f"{ahead}; {fewest} seed{'s' * (fewest != 1)} cannot prove the lead, {ENOUGH} or more could"
+    if min(first.values[key]) > max(second.values[key]):
+        return f"{ahead}; the lead is clear: each of its runs is ahead of each of theirs"
+    return f"{ahead}; the lead is not clear: their runs overlap"
 
 
 def _comparisons(groups: Sequence[Group], keys: Sequence[str]) -> Iterator[str]:
@@ -138,7 +144,7 @@ def _comparisons(groups: Sequence[Group], keys: Sequence[str]) -> Iterator[str]:
     whole = [group for group in groups if group.series == ALL]
     searched = [group for group in whole if not _is_random(group)] or whole
     for key in keys:
-        if key in ("scenario", "mesh"):
+        if key in ("scenario", "mesh") or (key == "support" and "kernel" in keys):  # that is told with the kernel
             continue
         along = [other for other in keys if other != key and key in origins_of(other)]
         # Random setups are a baseline of methods; of kernels and the like they say little.
@@ -174,9 +180,22 @@ def _compared(groups: Sequence[Group], mine: Sequence[str], keys: Sequence[str])
         clauses = (_clause(duel, names[duel.other]) for duel in sorted(duels[winner], key=lambda duel: duel.factor))
         single = ", ".join(names[value] for value in table if fronts and value not in fronts)
         note = f" ({single}: one setup a run, which has little hypervolume by itself)" if single else ""
-        yield f"{title}, by median hypervolume: {names[winner]} {'; '.join(clauses)}{note}"
+        yield f"{title}, by median hypervolume: {names[winner]} {'; '.join(clauses)}{note}{_edge(winner, mine, table)}"
     elif len(table) > 1 and not any(origin in keys for key in mine for origin in origins_of(key)):
         yield f"{title}: no two groups differ in this alone, so what it does cannot be told from what others do"
+
+
+def _edge(winner: Value, mine: Sequence[str], table: dict[Value, Any]) -> str:
+    """What to try next where the best radius is the smallest or the largest one that was tried."""
+    if "support" not in mine:
+        return ""
+    place = list(mine).index("support")
+    radii = sorted({value[place] for value in table if value[place] is not None})
+    if len(radii) < 2 or winner[place] not in (radii[0], radii[-1]):
+        return ""
+    size = "smallest" if winner[place] == radii[0] else "largest"
+    further = "smaller" if size == "smallest" else "larger"
+    return f"; that is the {size} radius tried: try a {further} one too"
 
 
 class _Duel(NamedTuple):

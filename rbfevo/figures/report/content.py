@@ -24,7 +24,8 @@ from rbfevo.figures.view import standpoint
 from rbfevo.record import Array, Record
 
 MANY = 2_000  # setups of a sweep: above, each run shows its front and its heuristics only
-MOST = 4_000  # setups of a page: above, every so-manieth is shown
+MOST = 4_000  # setups of a run: above, every so-manieth of those that others dominate is shown
+NUMBERS = 500_000  # coordinates of centers, 4 MB
 ON_DARK = {
     style.BLUE: "#6aa5f5",
     style.MAGENTA: "#ff66bd",
@@ -86,13 +87,21 @@ def _hex(color: Sequence[float]) -> str:
 def _rows(runs: Sequence[Shown]) -> list[Array]:
     """The rows of each run that a page shows: all usable ones, where there are not too many of them."""
     rows = [run.record.usable for run in runs]
-    if len(runs) > 1 and sum(map(len, rows)) > MANY:
-        rows = [
-            kept[run.record.nondominated[kept] | np.isin(run.record.method[kept], HEURISTICS[1:])]
-            for run, kept in zip(runs, rows, strict=True)
-        ]
-    total = sum(map(len, rows))
-    return rows if total <= MOST else [kept[:: -(-total // MOST)] for kept in rows]
+    telling = [
+        run.record.nondominated[kept] | np.isin(run.record.method[kept], HEURISTICS[1:])
+        for run, kept in zip(runs, rows, strict=True)
+    ]
+    numbers = max(run.record.centers[0].size for run in runs)
+    most = min(MANY if len(runs) > 1 else MOST, NUMBERS // numbers)
+    if sum(map(len, rows)) <= most:
+        return rows
+    left = sum(int((~some).sum()) for some in telling)
+    room = max(0, most - sum(int(some.sum()) for some in telling)) if len(runs) == 1 else 0
+    found = []
+    for kept, some in zip(rows, telling, strict=True):
+        others = kept[~some][:: max(1, -(-left // room))] if room else kept[:0]
+        found.append(np.sort(np.concatenate([kept[some], others])))
+    return found
 
 
 def _run(run: Shown, mesh: int, rows: Array, looks: dict[tuple[str, str], dict[str, Any]]) -> dict[str, Any]:

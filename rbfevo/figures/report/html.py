@@ -35,6 +35,8 @@ def page(record: Record, directory: Path) -> str:
     if isinstance(symmetry, dict):
         words.append(f"symmetric about {symmetry.get('axis')} = {symmetry.get('at')}")
     told = content([Shown("", ".", directory, record, {})], [""])
+    if told["left_out"]:
+        words.append(f"{told['left_out']:,} dominated ones left out here")
     return assembled({**told, "title": record.title, "subtitle": " · ".join(words)})
 
 
@@ -62,7 +64,7 @@ def page_of_sweep(members: Sequence[Member], directory: Path, out: Path) -> str:
     setups = sum(len(member.record.usable) for member in members)
     words = [f"{len(members):,} run{'s' * (len(members) != 1)}", f"{setups:,} setups"]
     if told["left_out"]:
-        words.append(f"{told['left_out']:,} of them left out here, dominated within their run or thinned")
+        words.append(f"{told['left_out']:,} of them left out here, dominated within their run")
     return assembled({**told, "title": f"Sweep {directory.resolve().name}", "subtitle": " · ".join(words)})
 
 

@@ -75,18 +75,11 @@ function bestOf(setups, first, second) {
   return setups.reduce((best, setup) => (!best || setup[first] > best[first] || (setup[first] === best[first] && setup[second] > best[second]) ? setup : best), null);
 }
 
-/** The weights of both scores: as they are, or divided by their range on the front. */
-function weighed(front, scaled) {
-  const { R, P } = scaled && front.length ? spreadOf(front) : { R: [0, 1], P: [0, 1] };
-  return (setup) => [(setup.R - R[0]) / R[1], (setup.P - P[0]) / P[1]];
-}
-
 /** The preferences, from and to, for which `setup` is as good as any; null if there are none. */
-function preferencesOf(setup, setups, front, scaled) {
-  const scores = weighed(front, scaled), [R, P] = scores(setup);
+function preferencesOf(setup, setups) {
   let from = 0, to = 1;
-  for (const other of scaled ? front : setups) {
-    const [otherR, otherP] = scores(other), slope = R - otherR - (P - otherP), least = P - otherP; // slope * preference + least >= 0
+  for (const other of setups) {
+    const slope = setup.R - other.R - (setup.P - other.P), least = setup.P - other.P; // slope * preference + least >= 0
     if (slope > 0) from = Math.max(from, -least / slope);
     else if (slope < 0) to = Math.min(to, -least / slope);
     else if (least < 0) return null;
@@ -94,13 +87,15 @@ function preferencesOf(setup, setups, front, scaled) {
   return from <= to + 1e-12 ? [from, to] : null;
 }
 
-/** The setup that maximizes preference R + (1 - preference) P, the lowest of equals; on the front's own scales if `scaled`. */
-function preferred(setups, front, preference, scaled) {
-  const scores = weighed(front, scaled);
+/** The setup that maximizes preference R + (1 - preference) P, the lowest of equals (paper, eq. 9). */
+function preferred(setups, preference) {
   let best = null, most = -Infinity;
-  for (const setup of scaled && front.length ? [...front].sort((a, b) => a.index - b.index) : setups) {
-    const [R, P] = scores(setup), value = preference * R + (1 - preference) * P;
+  for (const setup of setups) {
+    const value = preference * setup.R + (1 - preference) * setup.P;
     if (value > most) { most = value; best = setup; }
   }
   return best;
 }
+
+/** The setup at a place along the front: 0 is its end of improvement potential, 1 that of regularity. */
+const alongFront = (front, place) => front[Math.round(place * (front.length - 1))];

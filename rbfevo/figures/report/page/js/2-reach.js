@@ -90,6 +90,11 @@ function unpackMesh(mesh) {
   mesh.faces = unpacked(mesh.faces, Uint32Array);
   mesh.gradient = unpacked(mesh.gradient, Float64Array);
   mesh.roots = mesh.weights ? unpacked(mesh.weights, Float64Array).map(Math.sqrt) : null;
+  mesh.middle = [0, 1, 2].map((axis) => {
+    let low = Infinity, high = -Infinity;
+    for (let at = axis; axis < mesh.d && at < mesh.vertices.length; at += mesh.d) { low = Math.min(low, mesh.vertices[at]); high = Math.max(high, mesh.vertices[at]); }
+    return axis < mesh.d ? (low + high) / 2 : 0;
+  });
   mesh.wanted = rowNorms(mesh.gradient, mesh.n, mesh.k);
   mesh.most = mesh.wanted.reduce((a, b) => Math.max(a, b), 0);
   mesh.known = new Map();

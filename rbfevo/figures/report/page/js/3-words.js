@@ -35,7 +35,7 @@ const scores = (setup) => `R = ${short(setup.R)}, P = ${short(setup.P)}`;
 
 /** What R means: the ratio of the strongest to the weakest direction of the parameters. */
 function regularityWords(setup) {
-  if (!(setup.R > 0)) return "R = 0: some combination of the parameters does not change the design at all (a center without a vertex in reach, or two in one place). An optimizer wastes steps on it; take another setup.";
+  if (!(setup.R > 0)) return "R = 0: some combination of the parameters does not change the design, or (direct manipulation) the control points cannot be moved one by one: a center without a vertex in reach, or two in one place. Take another setup.";
   const parameters = setup.run.manipulation === "direct" ? "displacements of the control points" : "RBF weights";
   return `The same step in the parameters (${parameters}) changes the design up to ${short(1 / setup.R, 3)} times as much in one direction as in another. ` +
     "The nearer to 1, the fewer steps an evolution strategy or a gradient descent needs with one step size for all. If your optimizer works on an orthonormal basis of the same deformations, R no longer matters.";
@@ -101,7 +101,7 @@ function madeWords(run) {
 
 /** Put text on the clipboard, and say so on the button. */
 async function copyText(text, button) {
-  const before = button.textContent;
+  const before = (button.dataset.label ||= button.textContent);
   try {
     await navigator.clipboard.writeText(text);
   } catch { // a page from a file may not be allowed to

@@ -10,8 +10,12 @@ function theme() {
 const QUALITATIVE = ["#0b4fa8", "#f28e00", "#57b55a", "#d3148f", "#7a5cc4", "#008c95", "#a3591f", "#6b6b6b"];
 const QUALITATIVE_ON_DARK = ["#6aa5f5", "#ffa733", "#6fcf72", "#ff66bd", "#b39df0", "#3fc6cf", "#d99a63", "#a8a8a8"];
 
-/** Settings that every plot of the page shares. */
-const CONFIG = { responsive: false, displaylogo: false, modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d", "hoverClosest3d", "tableRotation", "resetCameraLastSave3d", "pan3d"] };
+/** Settings that every plot of the page shares: no button of the library's but those named, and nothing sent anywhere. */
+const CONFIG = { responsive: false, displaylogo: false, displayModeBar: false, plotlyServerURL: "", showSendToCloud: false, showLink: false };
+
+const touched = () => matchMedia("(pointer: coarse)").matches;
+/** Of the front alone: zoom and back. */
+const ZOOMING = () => ({ ...CONFIG, displayModeBar: touched() ? false : "hover", modeBarButtons: [["zoom2d", "pan2d", "resetScale2d"]] });
 
 function axisLook(colors) {
   return { gridcolor: colors.line, zerolinecolor: colors.line, linecolor: colors.grey, tickcolor: colors.grey, color: colors.ink, automargin: true };
@@ -48,7 +52,7 @@ function frontFigure(state) {
   traces.push(ring(state.knee, "knee", colors.ink, 15, 1.2), ring(state.kept, "kept", colors.accent, 20, 3), ring(state.chosen, "chosen", colors.center, 20, 3));
   const narrow = byId("front").clientWidth < 520;
   const layout = {
-    uirevision: `${state.filterKey} ${log}`, margin: { l: 56, r: 12, t: 10, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: colors.ink, size: 12 }, hovermode: "closest", dragmode: matchMedia("(pointer: coarse)").matches ? false : "zoom",
+    uirevision: `${state.filterKey} ${log}`, margin: { l: 56, r: 12, t: 10, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: colors.ink, size: 12 }, hovermode: "closest", dragmode: touched() ? false : "zoom",
     hoverlabel: { bgcolor: colors.paper, bordercolor: colors.grey, font: { color: colors.ink } },
     legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, font: { size: narrow ? 10 : 12 } },
     xaxis: { ...axisLook(colors), title: { text: `regularity R${log ? " (logarithmic)" : ""} →` }, type: log ? "log" : "linear", zeroline: false, ...(log ? { range: [Math.log10(scale.low), Math.log10(scale.high)], exponentformat: "power", dtick: 1 } : {}) },
@@ -83,7 +87,7 @@ function settingOf(run, name) {
 
 function drawFront(state) {
   const { traces, layout } = frontFigure(state), plot = byId("front");
-  Plotly.react(plot, traces, layout, CONFIG);
+  Plotly.react(plot, traces, layout, ZOOMING());
   if (!plot.dataset.listens) {
     plot.dataset.listens = "yes";
     plot.on("plotly_click", (event) => {

@@ -30,6 +30,9 @@ function balls(places, radius, color, names) {
 /** A point with three coordinates. */
 const spatial = (point) => [point[0], point[1], point.length > 2 ? point[2] : 0];
 
+/** A point about the middle of the mesh. */
+const about = (point, mesh) => spatial(point).map((value, axis) => value - mesh.middle[axis]);
+
 /** All centers that the deformation really has: those of the setup and their mirror images. */
 function placesOf(setup, mesh) {
   const own = centersOf(setup, mesh.d), mirror = setup.run.mirror;
@@ -37,11 +40,11 @@ function placesOf(setup, mesh) {
   return { own, images };
 }
 
-/** Coordinates [n] of the vertices, moved by rows [n * k] times a factor; heights go up. */
+/** Coordinates [n] of the vertices about the mesh's middle, since the views have single precision; moved by rows [n * k] times a factor; heights go up. */
 function moved(mesh, rows, factor) {
   const { n, d, k } = mesh, xyz = [0, 1, 2].map(() => new Float32Array(n));
   for (let i = 0; i < n; i++) for (let axis = 0; axis < 3; axis++) {
-    let value = axis < d ? mesh.vertices[i * d + axis] : 0;
+    let value = axis < d ? mesh.vertices[i * d + axis] - mesh.middle[axis] : 0;
     const component = k === 1 ? (axis === 2 ? 0 : -1) : axis < k ? axis : -1;
     if (rows && component >= 0) value += factor * rows[i * k + component];
     xyz[axis][i] = value;
@@ -57,7 +60,7 @@ function boxOf(mesh, setups) {
   for (const shape of [moved(mesh, null, 0), moved(mesh, mesh.gradient, mesh.stretch)]) shape.forEach((values, axis) => values.forEach((value) => take(axis, value)));
   for (const setup of setups) {
     const { own, images } = placesOf(setup, mesh);
-    for (const place of [...own, ...images.map(([image]) => image)]) spatial(place).forEach((value, axis) => take(axis, value));
+    for (const place of [...own, ...images.map(([image]) => image)]) about(place, mesh).forEach((value, axis) => take(axis, value));
   }
   const radius = radiusOf(mesh, setups[0]);
   mesh.box = low.map((value, axis) => [value - 1.5 * radius, high[axis] + 1.5 * radius]);
@@ -112,15 +115,15 @@ function drawView(state, which, setup) {
     : { type: "scatter3d", mode: "markers", x, y, z, hoverinfo: "skip", marker: { size: 2, opacity: state.seeThrough ? 0.35 : 1, ...(values ? { color: values, ...look } : { color: colors.clay }) } };
   const { own, images } = placesOf(setup, mesh), radius = radiusOf(mesh, setup);
   const name = (place, j, image) => `center ${j}${image ? ", mirrored" : ""}<br>${place.map((value) => short(value)).join(", ")}`;
-  const traces = [surface, balls(own.map(spatial), radius, colors.center, own.map((place, j) => name(place, j, false)))];
-  if (images.length) traces.push(balls(images.map(([place]) => spatial(place)), radius, colors.image, images.map(([place, j]) => name(place, j, true))));
+  const traces = [surface, balls(own.map((place) => about(place, mesh)), radius, colors.center, own.map((place, j) => name(place, j, false)))];
+  if (images.length) traces.push(balls(images.map(([place]) => about(place, mesh)), radius, colors.image, images.map(([place, j]) => name(place, j, true))));
   const box = boxOf(mesh, state.setups.filter((other) => other.run.mesh === setup.run.mesh)), flat = mesh.d === 2;
-  const axis = (index) => ({ range: box[index], visible: flat && index < 2, showbackground: false, showspikes: false, gridcolor: colors.line, color: colors.grey, title: { text: flat ? "xyz"[index] : "" }, zeroline: false, nticks: 4 });
+  const axis = (index) => ({ range: box[index], visible: flat && index < 2, showbackground: false, showspikes: false, gridcolor: colors.line, color: colors.grey, title: { text: flat ? "xyz"[index] : "" }, zeroline: false, ...(flat && index < 2 ? ticksOf(box[index], mesh.middle[index]) : {}) });
   const layout = {
     margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: colors.panel, showlegend: false, hoverlabel: { bgcolor: colors.paper, bordercolor: colors.grey, font: { color: colors.ink } },
     scene: { aspectmode: "manual", aspectratio: state.sides || startSides(mesh, plot), xaxis: axis(0), yaxis: axis(1), zaxis: axis(2), dragmode: "orbit", camera: state.camera || startCamera(mesh) },
   };
-  Plotly.react(plot, traces, layout, { ...CONFIG, scrollZoom: !matchMedia("(pointer: coarse)").matches });
+  Plotly.react(plot, traces, layout, { ...CONFIG, scrollZoom: !touched() });
   if (!plot.dataset.listens) {
     plot.dataset.listens = "yes";
     plot.on("plotly_relayout", (change) => followCamera(state, which, change));
@@ -165,6 +168,14 @@ function turnBack(state) {
   state.camera = state.sides = null;
 }
 
+/** Some ticks of an axis that is drawn about `middle`, with their true values. */
+function ticksOf([low, high], middle) {
+  const step = 10 ** Math.floor(Math.log10((high - low) / 2)), first = Math.ceil((low + middle) / step);
+  const values = Array.from({ length: Math.floor((high + middle) / step) - first + 1 }, (_, which) => (first + which) * step);
+  const kept = values.filter((_, which) => which % Math.ceil(values.length / 4) === 0);
+  return { tickmode: "array", tickvals: kept.map((value) => value - middle), ticktext: kept.map((value) => short(value)) };
+}
+
 /** The scale of the colours, and what there is to say about the view. */
 function drawScale(state) {
   const mesh = state.mesh, factor = mesh.scale || 1;
@@ -174,6 +185,7 @@ function drawScale(state) {
   byId("scale-bar").style.background = `linear-gradient(to right, ${state.content.colors.map(([at, color]) => `${color} ${100 * at}%`).join(", ")})`;
   const said = state.flaw ? [state.flaw] : [];
   if (mesh.n < mesh.of) said.push(`Shown and computed here on ${mesh.n.toLocaleString("en")} of ${mesh.of.toLocaleString("en")} vertices; R and P are those of all.`);
+  if (state.shape !== "template") said.push("Centers stay where they are at first.");
   if (state.shape !== "template" && mesh.remark) said.push(`Shape: ${mesh.remark}.`);
   if (state.color === "left" && state.chosen && !state.chosen.run.known) said.push("What this setup reaches is not known to this page: its kernel is unknown here.");
   if (state.seeThrough === false && mesh.d === 3) said.push("Centers inside or behind the surface: see through it, or turn it.");
@@ -202,13 +214,21 @@ async function pictureOf(state) {
   pen.fillText(state.chosen.run.title, gap, 30, canvas.width / 2 - 2 * gap);
   pen.font = "15px system-ui, sans-serif";
   const captions = ["", byId("caption-a").textContent, byId("caption-b").textContent];
+  const ring = (x, y, color) => { pen.beginPath(); pen.arc(x, y, 6, 0, 2 * Math.PI); pen.lineWidth = 3; pen.strokeStyle = color; pen.stroke(); };
   images.forEach((image, which) => {
     const left = gap + which * (side + gap);
-    pen.fillText(captions[which], left, 58, side);
+    if (captions[which]) ring(left + 8, 53, which === 1 ? colors.center : colors.accent);
+    pen.fillStyle = colors.ink;
+    pen.fillText(captions[which], left + (captions[which] ? 24 : 0), 58, side - 24);
     pen.drawImage(image, left, head, side, side);
   });
   pen.fillStyle = colors.grey;
   const what = state.color === "wanted" ? "wanted displacement" : "what the setup cannot reach";
-  pen.fillText(`colour: ${what}, 0 to ${byId("scale-high").textContent} ${byId("scale-unit").textContent}`, 2 * gap + side, head + side + 22);
+  const start = 2 * gap + side, fade = pen.createLinearGradient(start + 12, 0, start + 172, 0), low = head + side + 22;
+  for (const [at, color] of state.content.colors) fade.addColorStop(at, color);
+  pen.fillText("0", start, low);
+  pen.fillText(`${byId("scale-high").textContent} ${byId("scale-unit").textContent}: ${what}`, start + 180, low, side - 180);
+  pen.fillStyle = fade;
+  pen.fillRect(start + 12, low - 12, 160, 13);
   return new Promise((done) => { canvas.toBlob(done, "image/png"); });
 }

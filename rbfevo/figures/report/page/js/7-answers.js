@@ -17,8 +17,6 @@ function drawAnswers(state) {
   byId("measure").replaceChildren(...MEASURES.map(({ key, title }) => el("option", { value: key }, title)));
   byId("measure").addEventListener("change", () => drawSpread(state));
   state.groupSort = { key: "hypervolume", down: true };
-  drawSpread(state);
-  drawGroups(state);
 }
 
 /** A sentence, what it answers before how sure that is. */
@@ -30,19 +28,29 @@ function answer(sentence) {
 /** The groups on the mesh that is shown. */
 const groupsShown = (state) => state.content.sweep.groups.filter((group) => group.mesh === state.meshIndex);
 
+/** A label in lines of about so many letters. */
+function wrapped(name, most) {
+  const lines = [""];
+  for (const part of name.split(", ")) {
+    if (lines.at(-1) && lines.at(-1).length + part.length > most) lines.push("");
+    lines.push(`${lines.at(-1) ? `${lines.pop()}, ` : lines.pop()}${part}`);
+  }
+  return lines.join("<br>");
+}
+
 /** A dot for every seed, and median and quartiles for every group, the best on top. */
 function drawSpread(state) {
   const colors = theme(), key = byId("measure").value, { down } = MEASURES.find((measure) => measure.key === key);
   const groups = groupsShown(state).filter((group) => group[key].median !== null);
   groups.sort((a, b) => (down ? b[key].median - a[key].median : a[key].median - b[key].median));
   const names = groups.map((group) => group.label), plot = byId("spread"), narrow = plot.clientWidth < 640;
-  const cut = (name) => (narrow && name.length > 26 ? `${name.slice(0, 25)}…` : name);
+  const cut = (name) => wrapped(name, narrow ? 22 : 60), lines = Math.max(1, ...names.map((name) => cut(name).split("<br>").length));
   const traces = [
     { type: "scatter", mode: "markers", name: "each seed", y: groups.flatMap((group) => group[key].values.map(() => group.label)), x: groups.flatMap((group) => group[key].values), text: groups.flatMap((group) => group.runs), hovertemplate: "%{text}: %{x:.5g}<extra></extra>", marker: { color: colors.grey, size: 6, opacity: 0.6 } },
     { type: "scatter", mode: "markers", name: "median, first and third quartile", y: names, x: groups.map((group) => group[key].median), hovertemplate: "%{y}<br>median %{x:.5g}<extra></extra>", marker: { color: colors.accent, symbol: "line-ns", size: 16, line: { width: 3, color: colors.accent } }, error_x: { type: "data", symmetric: false, array: groups.map((group) => group[key].third - group[key].median), arrayminus: groups.map((group) => group[key].median - group[key].first), color: colors.accent, thickness: 3, width: 0 } },
   ];
   const layout = {
-    height: 120 + 26 * names.length, margin: { l: 10, r: 16, t: 10, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: colors.ink, size: 12 }, dragmode: false, hovermode: "closest",
+    height: 120 + (10 + 16 * lines) * names.length, margin: { l: 10, r: 16, t: 10, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: colors.ink, size: 12 }, dragmode: false, hovermode: "closest",
     hoverlabel: { bgcolor: colors.paper, bordercolor: colors.grey, font: { color: colors.ink } }, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
     xaxis: { ...axisLook(colors), title: { text: MEASURES.find((measure) => measure.key === key).title } }, yaxis: { ...axisLook(colors), type: "category", categoryarray: names, tickvals: names, ticktext: names.map(cut) },
   };

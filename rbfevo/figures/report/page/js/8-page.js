@@ -22,7 +22,8 @@ function start() {
   state.choose = (setup, by) => {
     if (!setup) return;
     state.chosen = setup;
-    if (by !== "slider") placeSlider();
+    if (by === "slider") sayPreference(Number(byId("preference").value));
+    else placeSlider();
     if (by !== "start") moveRings(state);
     drawViews();
     drawWords();
@@ -32,19 +33,26 @@ function start() {
   };
 
   state.filter = (name, value) => { state.filters[name] = value; show(); };
-  state.showMesh = (index) => { state.meshIndex = index; state.mesh = content.meshes[index]; state.kept = null; state.camera = state.sides = null; show(); drawSpread(state); drawGroups(state); };
+  state.showMesh = (index) => {
+    if (index !== state.meshIndex) state.camera = state.sides = null;
+    state.meshIndex = index;
+    state.mesh = content.meshes[index];
+    if (byId("filter-mesh")) byId("filter-mesh").value = index;
+    show();
+    if (content.sweep) { drawSpread(state); drawGroups(state); }
+  };
 
   function show() {
     refresh();
     const none = !state.visible.length;
-    byId("problem").hidden = !none;
-    byId("problem").textContent = none ? "No setup has all of these settings: choose others." : "";
+    byId("nothing").hidden = !none;
+    document.querySelector("main").classList.toggle("nothing", none);
     if (none) return;
     if (!state.visible.includes(state.chosen)) state.chosen = state.knee || state.visible[0];
-    if (!state.visible.includes(state.kept)) state.kept = null;
+    if (state.kept?.run.mesh !== state.meshIndex) state.kept = null;
     drawFront(state);
     drawTable(state);
-    hintAtSlider();
+    byId("preference").step = Math.min(0.01, 1 / Math.max(1, state.front.length - 1));
     state.choose(state.chosen, "start");
   }
 
@@ -83,27 +91,28 @@ function start() {
     drawWords.run = state.chosen.run;
   }
 
-  /** How far the preference alone walks along this front. */
-  function hintAtSlider() {
-    const scaled = byId("scaled").checked, stops = new Set();
-    for (let step = 0; step <= 100; step++) stops.add(preferred(state.visible, state.front, step / 100, scaled));
-    const few = stops.size < Math.min(5, state.front.length) && !scaled;
-    byId("preference-hint").textContent = `Largest preference × R + (1 − preference) × P${scaled ? ", each scaled to its range on the front" : ""}: stops at ${stops.size} of ${state.front.length} nondominated setups; the arrow keys reach all.` +
-      (few ? " One score varies much less than the other here: weigh both by their range." : "");
-  }
-
   /** Put the slider where it would choose this setup, if there is such a place. */
   function placeSlider() {
-    const found = preferencesOf(state.chosen, state.visible, state.front, byId("scaled").checked);
-    byId("preference-value").textContent = found ? ((found[0] + found[1]) / 2).toFixed(2) : "none";
-    byId("preference-value").title = found ? `best from ${found[0].toFixed(3)} to ${found[1].toFixed(3)}` : "no preference leads to this setup: another one is better for each";
-    if (found) byId("preference").value = (found[0] + found[1]) / 2;
+    const range = preferencesOf(state.chosen, state.visible), at = state.front.indexOf(state.chosen);
+    const along = at < 0 ? null : state.front.length > 1 ? at / (state.front.length - 1) : 0.5;
+    const place = byId("weighted").checked ? range && (range[0] + range[1]) / 2 : along;
+    if (place !== null) byId("preference").value = place;
+    sayPreference(place);
+  }
+
+  function sayPreference(place) {
+    byId("preference-value").textContent = place === null ? "none" : place.toFixed(2);
+    byId("preference-value").title = place === null ? "no place of the slider leads to this setup" : "";
+    byId("preference").setAttribute("aria-valuetext", `${place === null ? "none" : place.toFixed(2)}: ${origin(state.chosen, state.several)}, ${scores(state.chosen)}`);
+    const range = preferencesOf(state.chosen, state.visible);
+    const formula = range ? `best for preferences ${range[0].toFixed(3)} to ${range[1].toFixed(3)} of the command line` : "best for no preference of the command line (it lies in a dent of the front, or is dominated)";
+    byId("preference-hint").textContent = `This setup is ${formula}. ${byId("weighted").checked ? "The slider weighs both scores as they are, and skips dents." : "The slider walks along the front, one nondominated setup after the other."}`;
   }
 
   function slide() {
-    const preference = Number(byId("preference").value);
-    byId("preference-value").textContent = preference.toFixed(2);
-    const found = preferred(state.visible, state.front, preference, byId("scaled").checked);
+    const place = Number(byId("preference").value);
+    const found = byId("weighted").checked ? preferred(state.visible, place) : alongFront(state.front, place);
+    sayPreference(place);
     if (found !== state.chosen) state.choose(found, "slider");
   }
 
@@ -166,12 +175,11 @@ function start() {
     const find = (word) => {
       if (word === null) return null;
       const [row, ...name] = word.split(":").reverse();
-      const run = decodeURIComponent(name.reverse().join(":"));
+      const run = name.reverse().join(":");
       return setups.find((setup) => String(setup.row) === row && (!state.several || setup.run.name === run)) || null;
     };
     state.chosen = find(words.get("setup"));
     state.kept = find(words.get("kept"));
-    if (state.chosen) { state.meshIndex = state.chosen.run.mesh; state.mesh = content.meshes[state.meshIndex]; }
   }
 
   const keys = {
@@ -192,15 +200,15 @@ function start() {
   };
 
   document.addEventListener("keydown", (event) => {
-    const act = keys[event.key], inside = event.target.closest?.("input:not([type=radio]):not([type=checkbox]), select, textarea, dialog, .scroll");
+    const letter = event.key.length === 1, act = keys[letter ? event.key.toLowerCase() : event.key], inside = event.target.closest?.("input:not([type=radio]):not([type=checkbox]), select, textarea, dialog, .scroll");
     const arrows = event.key.startsWith("Arrow") && event.target.closest?.("input, select, .scroll");
-    if (!act || event.ctrlKey || event.metaKey || event.altKey || arrows || (inside && inside.matches("select, textarea, dialog"))) return;
+    if (!act || (letter && !byId("letters").checked) || event.ctrlKey || event.metaKey || event.altKey || arrows || (inside && inside.matches("select, textarea, dialog"))) return;
     event.preventDefault();
     act();
   });
   for (const [id, key] of [["knee", "k"], ["best-regularity", "r"], ["best-potential", "p"], ["walk-left", "ArrowLeft"], ["walk-right", "ArrowRight"], ["keep", "c"], ["swap", "x"], ["save-centers", "d"], ["save-picture", "s"], ["turn-back", "v"], ["keys-button", "?"]]) byId(id).addEventListener("click", () => keys[key]());
   byId("preference").addEventListener("input", slide);
-  byId("scaled").addEventListener("change", () => { hintAtSlider(); placeSlider(); });
+  byId("weighted").addEventListener("change", placeSlider);
   byId("logarithmic").checked = state.logarithmic;
   byId("logarithmic").addEventListener("change", (event) => { state.logarithmic = event.target.checked; drawFront(state); });
   byId("see-through").addEventListener("change", (event) => { state.seeThrough = event.target.checked; drawViews(); });
@@ -208,7 +216,7 @@ function start() {
   byId("only-front").addEventListener("change", () => drawTable(state));
   byId("more").addEventListener("click", () => { state.shownRows += AT_ONCE; drawTable(state); });
   byId("copy-bibtex").addEventListener("click", () => copyText(byId("bibtex").textContent, byId("copy-bibtex")));
-  addEventListener("hashchange", () => { remembered(); show(); });
+  addEventListener("hashchange", () => { remembered(); state.showMesh(state.chosen ? state.chosen.run.mesh : state.meshIndex); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawFront(state); drawViews(); if (content.sweep) drawSpread(state); });
 
   if (!document.createElement("canvas").getContext("webgl")) state.flaw = "This browser has no WebGL, or it is switched off: the views stay empty; the front, the table and the CSV work. ";
@@ -225,9 +233,9 @@ function start() {
   }
   remembered();
   drawFilters(state);
-  show();
   drawAnswers(state);
-  window.rbfevo = { state, leftOf, frontOf, nondominated, kneeOf, bestOf, preferred, preferencesOf }; // for the browser's console, and for tests
+  state.showMesh(state.chosen ? state.chosen.run.mesh : 0);
+  window.rbfevo = { state, leftOf, frontOf, nondominated, kneeOf, bestOf, preferred, preferencesOf, alongFront }; // for the browser's console, and for tests
   document.documentElement.dataset.ready = "yes";
 }
 
