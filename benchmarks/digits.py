@@ -1,8 +1,8 @@
 """R and P of a setup at 90 digits, in fixed-point numbers: Python's integers, in units of 2^-BITS.
 
-They are several times as fast as mpmath's numbers, which setups of 200 centers need; tests/test_numbers.py compares the two
-on small ones. Phi is not factored but G = Phi^T Phi = L L^T, which squares the condition number: of 90 digits, 60 are
-left at 1e15. The singular values of Phi are those of L, those of U = Phi Psi^-1 are those of Psi^-1 L.
+They are several times as fast as mpmath's numbers, which setups of 200 centers need; tests/test_numbers.py compares
+the two on small ones. Phi is not factored but G = Phi^T Phi = L L^T, which squares the condition number: of 90 digits,
+60 are left at 1e15. The singular values of Phi are those of L, those of U = Phi Psi^-1 are those of Psi^-1 L.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ def job(config: DictConfig) -> None:
     """One job of a sweep: never raises, so that one failed job does not end the others; tells what became of it."""
     said = HydraConfig.get()
     sweep = Path(said.runtime.cwd, said.sweep.dir)
-    outcome = jobs.Outcome(int(said.job.num), said.job.override_dirname, Path(said.runtime.output_dir).name, None)
+    outcome = jobs.Outcome(int(said.job.num), list(said.overrides.task), Path(said.runtime.output_dir).name, None)
     jobs.tell(sweep, outcome)
     code, message = _guarded(lambda: _swept(config, sweep))
     skipped = code == SKIPPED
@@ -66,7 +66,7 @@ def _swept(config: DictConfig, sweep: Path) -> int:
     directory, how = jobs.place_of(sweep, numbered, identity(settings, whole=True))
     try:
         if how == "done":
-            print(f"{directory.name}: done already ({said.job.override_dirname})", flush=True)
+            print(f"{directory.name}: done already ({' '.join(said.overrides.task)})", flush=True)
             return SKIPPED
         with lock.locked(directory):
             if how == "new":
@@ -90,9 +90,10 @@ def single(config: DictConfig, resumed: bool) -> int:
         from rbfevo.run import carry_out
 
         settings = check(config)
-        if resumed:
+        code = carry_out(settings, directory, words, resumed)
+        if resumed:  # with what has changed on the way
             _write_hydra(config, directory, only=("config.yaml", "overrides.yaml"))
-        return _carried_out(lambda: carry_out(settings, directory, words, resumed), directory)
+        return code
 
     code, message = _guarded(work)
     if code == 2:

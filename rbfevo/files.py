@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
+import re
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -41,6 +42,16 @@ def write_whole(path: Path, content: bytes) -> None:
         if temporary is not None:
             Path(temporary).unlink(missing_ok=True)
         raise UserError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+_UNFINISHED = re.compile(r"\.[\w-]+\.(npz|csv|json|yaml|html|png)\.\w{8}")
+
+
+def clear_unfinished(directory: Path) -> None:
+    """Remove what processes that were killed while they wrote have left in a directory that no other one works in."""
+    for path in directory.glob(".*"):
+        if _UNFINISHED.fullmatch(path.name):
+            path.unlink(missing_ok=True)
 
 
 def npz(arrays: dict[str, np.ndarray]) -> bytes:

@@ -22,10 +22,10 @@ START = "RBFEVO_START"  # the name of that directory, for jobs in other processe
 
 
 class Outcome(NamedTuple):
-    """What became of a job: its number, what it overrides, its directory, exit code (None: not yet), why, skipped."""
+    """What became of a job: its number, its words, its directory, exit code (None: not yet), why, skipped."""
 
     number: int
-    overrides: str
+    words: list[str]
     directory: str
     code: int | None
     message: str = ""
@@ -85,6 +85,13 @@ def place_of(sweep: Path, numbered: Path, whole: str) -> tuple[Path, str]:
 
 def summary(found: list[Outcome]) -> list[str]:
     """What there is to say at the end of a sweep."""
+    common = set.intersection(*(set(outcome.words) for outcome in found)) if found[1:] else set()
+
+    def told(outcome: Outcome) -> str:
+        return (
+            f"  {outcome.number} ({' '.join(word for word in outcome.words if word not in common) or 'the only job'})"
+        )
+
     failed = [outcome for outcome in found if outcome.code not in (0, None)]
     lost = [outcome for outcome in found if outcome.code is None]
     skipped = sum(outcome.skipped for outcome in found)
@@ -93,10 +100,8 @@ def summary(found: list[Outcome]) -> list[str]:
         lines.append(f"{skipped} of {len(found)} jobs were done already")
     if failed or lost:
         lines.append(f"{len(failed) + len(lost)} of {len(found)} jobs failed:")
-        lines += [
-            f"  {outcome.number} ({outcome.overrides}): {outcome.message or 'no reason given'}" for outcome in failed
-        ]
-        lines += [f"  {outcome.number} ({outcome.overrides}): its process ended without a word" for outcome in lost]
+        lines += [f"{told(outcome)}: {outcome.message or 'no reason given'}" for outcome in failed]
+        lines += [f"{told(outcome)}: its process ended without a word" for outcome in lost]
         lines.append("start the same sweep again to take up those, and no others")
     return lines
 

@@ -24,6 +24,7 @@ from rbfevo.config import Settings, build
 from rbfevo.errors import UserError
 from rbfevo.evaluator import Evaluator
 from rbfevo.evolvability import Scores
+from rbfevo.files import clear_unfinished
 from rbfevo.journal import Journal
 from rbfevo.kernels import Kernel
 from rbfevo.lock import locked
@@ -397,6 +398,7 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
         UserError: for a user's mistake; what had been found by then is written all the same.
     """
     with locked(directory), Interruption() as interruption, coarse() as threads:
+        clear_unfinished(directory)
         saved = _checkpoint(settings, directory) if resume else None
         if saved is None:
             storage.refuse_results(directory)
