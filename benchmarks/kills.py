@@ -56,8 +56,8 @@ class Report(NamedTuple):
     """What became of one method.
 
     Attributes:
-        kills: processes killed; before_first: of those before the first checkpoint; while_writing: of those while a file
-            was being written; damaged: times that a file was not whole; different: ends that were not the undisturbed.
+        kills: processes killed; before_first: of those before the first checkpoint; while_writing: of those while a
+            file was being written; damaged: times that a file was not whole; different: ends unlike the undisturbed.
     """
 
     method: str

@@ -205,8 +205,8 @@ def _held(words: Sequence[str]) -> Iterator[None]:
     named = [value for value in named if "${" not in value]
     with contextlib.ExitStack() as stack:
         for value in named:
-            stack.callback(_tidy, Path(value))
             stack.enter_context(lock.locked(Path(value)))
+            stack.callback(_tidy, Path(value))  # before the lock is let go of
         yield
 
 

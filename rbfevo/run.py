@@ -229,11 +229,9 @@ class Run:
         for place, (stage, steps) in enumerate(zip(self.stages, saved["steps"], strict=True)):
             if stage.steps == steps or place > index:
                 continue
-            if place < index or not stage.lengthened(steps) or stage.steps < step:
-                why = (
-                    "it is done" if place < index else f"it had {steps} and has taken {step}; they can only become more"
-                )
-                if stage.steps > steps and place == index:
+            if place < index or not stage.fits(steps) or stage.steps < step:
+                why = "it is done" if place < index else f"it has taken {step} already"
+                if place == index and not stage.fits(steps):
                     why = "its plan depends on their number from the start"
                 raise UserError(f"method={stage.name}: the generations cannot be changed on the way: {why}")
 

@@ -74,9 +74,9 @@ class Nsga2Search(Method):
         """Continue with that population."""
         self.algorithm.load_state_dict(state)
 
-    def lengthened(self, steps: int) -> bool:
+    def fits(self, steps: int) -> bool:
         """A generation does not know how many there will be."""
-        return self.steps >= steps
+        return True
 
 
 class CmaesSearch(Method):
@@ -156,9 +156,9 @@ class CmaesSearch(Method):
             state[name].to(self._best).clone() for name in ("fitness", "best", "objectives")
         )
 
-    def lengthened(self, steps: int) -> bool:
+    def fits(self, steps: int) -> bool:
         """A generation does not know how many there will be."""
-        return self.steps >= steps
+        return True
 
 
 class Panel:

@@ -126,7 +126,7 @@ class Method(abc.ABC):
         """
         raise NotImplementedError(f"{self.name} has no state to continue from")
 
-    def lengthened(self, steps: int) -> bool:
+    def fits(self, steps: int) -> bool:
         """Whether a state that was taken under settings of `steps` steps is also one of these settings."""
         return steps == self.steps
 

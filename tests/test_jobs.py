@@ -1,0 +1,262 @@
+"""Sweeps that finish: jobs recognized by their settings, taken up, skipped, and told of where they fail."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+
+from rbfevo import checkpoint, jobs, lock
+from rbfevo.__main__ import main
+from rbfevo.errors import UserError
+
+ROOT = Path(__file__).parents[1]
+SMALL = ("scenario=plane", "scenario.resolution=[12,12]", "centers=4", "quiet=true", "figures=false", "evaluator=eager")
+NSGA2 = (*SMALL, "method=nsga2", "method.population=8", "method.generations=4")
+
+
+def sweep(directory: Path, *words: str) -> int:
+    return main(["-m", *NSGA2, f"hydra.sweep.dir={directory}", *words])
+
+
+def seeds(directory: Path) -> dict[str, int]:
+    """The seed of each run by the name of its directory."""
+    found = directory.glob("*/summary.json")
+    return {path.parent.name: json.loads(path.read_text())["seed"] for path in sorted(found)}
+
+
+def times(directory: Path) -> dict[str, int]:
+    return {path.parent.name: path.stat().st_mtime_ns for path in directory.glob("*/summary.json")}
+
+
+def test_a_sweep_that_is_started_again_does_nothing_twice(tmp_path, capsys):
+    assert sweep(tmp_path, "seed=0,1") == 0
+    before = times(tmp_path)
+    capsys.readouterr()
+    assert sweep(tmp_path, "seed=0,1") == 0
+    assert times(tmp_path) == before
+    assert "2 of 2 jobs were done already" in capsys.readouterr().err
+
+
+def test_jobs_are_recognized_by_their_settings_not_by_their_numbers(tmp_path):
+    assert sweep(tmp_path, "seed=0,1") == 0
+    before = times(tmp_path)
+    assert sweep(tmp_path, "seed=2,1,3") == 0
+    found = seeds(tmp_path)
+    assert sorted(found.values()) == [0, 1, 2, 3]
+    assert {name: when for name, when in times(tmp_path).items() if name in before} == before
+    for name, seed in found.items():
+        config = OmegaConf.load(tmp_path / name / ".hydra" / "config.yaml")
+        assert config.seed == seed
+        assert f"seed={seed}" in OmegaConf.load(tmp_path / name / ".hydra" / "overrides.yaml")
+    assert not [path for path in tmp_path.iterdir() if path.is_dir() and not any(path.iterdir())]
+
+
+def test_more_generations_are_another_job(tmp_path):
+    assert sweep(tmp_path, "seed=0") == 0
+    assert sweep(tmp_path, "seed=0", "method.generations=5") == 0
+    assert len(seeds(tmp_path)) == 2
+
+
+def test_an_interrupted_job_is_taken_up_and_ends_as_if_it_had_not_been(tmp_path, monkeypatch, capsys):
+    assert sweep(tmp_path / "calm", "seed=0,1") == 0
+    assert sweep(tmp_path / "torn", "seed=0,1", "checkpoint.every=0") == 0
+    torn = tmp_path / "torn" / "1"
+    state = checkpoint.load(torn)
+    assert state["finished"]
+    shutil.rmtree(torn)
+    from rbfevo.journal import Journal
+
+    class KilledError(BaseException):
+        pass
+
+    def dies(*_: object) -> None:
+        raise KilledError
+
+    with monkeypatch.context() as patch:
+        count = 0
+        real = Journal.record
+
+        def record(self, records):
+            nonlocal count
+            count += 1
+            if count == 3:
+                raise KilledError
+            real(self, records)
+
+        patch.setattr(Journal, "record", record)
+        patch.setattr("rbfevo.run.Run.save", lambda *_: None)
+        with pytest.raises(KilledError):
+            sweep(tmp_path / "torn", "seed=0,1", "checkpoint.every=0")
+    assert not checkpoint.head(torn)["finished"]
+    assert sweep(tmp_path / "torn", "seed=0,1") == 0
+    for name in ("0", "1"):
+        with (
+            np.load(tmp_path / "calm" / name / "setups.npz") as calm,
+            np.load(tmp_path / "torn" / name / "setups.npz") as end,
+        ):
+            assert all(np.array_equal(calm[key], end[key], equal_nan=calm[key].dtype.kind == "f") for key in calm.files)
+
+
+def test_failed_jobs_are_listed_with_the_reason_and_tried_again(tmp_path, capsys):
+    assert sweep(tmp_path, "centers=4,1000,5", "seed=0") == 2
+    err = capsys.readouterr().err
+    assert "1 of 3 jobs failed:" in err
+    assert "  1 (centers=1000): centers=1000: scenario plane has only 144 vertices; use fewer" in err
+    assert len(seeds(tmp_path)) == 2
+    assert sweep(tmp_path, "centers=4,100,5", "seed=0") == 0
+    assert len(seeds(tmp_path)) == 3
+
+
+def test_a_bug_in_one_job_does_not_end_the_others(tmp_path, monkeypatch, capsys):
+    from rbfevo import run
+
+    real = run.carry_out
+
+    def fails(settings, *arguments):
+        if settings.seed == 1:
+            raise RuntimeError("a bug")
+        return real(settings, *arguments)
+
+    monkeypatch.setattr(run, "carry_out", fails)
+    assert sweep(tmp_path, "seed=0,1,2") == 1
+    assert "  1 (seed=1): RuntimeError: a bug" in capsys.readouterr().err
+    assert sorted(seeds(tmp_path).values()) == [0, 2]
+
+
+def test_a_mistake_in_the_words_leaves_no_sweep_behind(tmp_path, capsys):
+    assert sweep(tmp_path / "new", "seed=0,1", "kernel=gauss") == 2
+    assert not (tmp_path / "new").exists()
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_two_sweeps_in_one_directory_are_refused(tmp_path, capsys):
+    held = subprocess.Popen(
+        [sys.executable, "-c", "import sys; from pathlib import Path; from rbfevo.lock import locked\n"
+         "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()", str(tmp_path)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT,
+    )  # fmt: skip
+    assert held.stdout is not None
+    held.stdout.readline()
+    before = sorted(path.name for path in tmp_path.iterdir())
+    try:
+        assert sweep(tmp_path, "seed=0,1") == 2
+        assert "another process is at work" in capsys.readouterr().err
+        assert main([*NSGA2, f"hydra.run.dir={tmp_path}"]) == 2
+        assert "another process is at work" in capsys.readouterr().err
+        assert sorted(path.name for path in tmp_path.iterdir()) == before
+    finally:
+        held.kill()
+        held.wait()
+        held.stdout.close()
+        if held.stdin is not None:
+            held.stdin.close()
+    assert main([*NSGA2, f"hydra.run.dir={tmp_path / 'now'}"]) == 0
+
+
+def test_a_lock_is_held_more_than_once_by_the_same_process(tmp_path):
+    with lock.locked(tmp_path), lock.locked(tmp_path):
+        pass
+    with lock.locked(tmp_path):
+        pass
+
+
+# --- launchers -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("launcher", "words"),
+    [
+        ("joblib", ["hydra.launcher.n_jobs=2"]),
+        pytest.param("submitit_local", ["hydra.launcher.cpus_per_task=1"], marks=pytest.mark.slow),
+    ],
+)
+def test_launchers_share_the_cores_and_tell_what_failed(launcher, words, tmp_path):
+    pytest.importorskip(f"hydra_plugins.hydra_{launcher.split('_')[0]}_launcher")
+    command = [sys.executable, "-m", "rbfevo", "-m", *NSGA2, f"hydra.sweep.dir={tmp_path}", "centers=4,1000"]
+    command += [f"hydra/launcher={launcher}", *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 2, done.stderr
+    assert "1 of 2 jobs failed:" in done.stderr
+    assert "  1 (centers=1000): centers=1000: scenario plane has only 144 vertices" in done.stderr
+    summary = json.loads((tmp_path / "0" / "summary.json").read_text())
+    cores = len(os.sched_getaffinity(0))
+    assert summary["threads"] == (max(1, cores // 2) if launcher == "joblib" else 1)
+    assert not (tmp_path / jobs.STATUS).exists()
+
+
+def test_threads_of_jobs_fit_the_cores(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(16)))
+    joblib = {"_target_": "hydra_plugins.hydra_joblib_launcher.joblib_launcher.JoblibLauncher"}
+    assert jobs.threads(joblib | {"n_jobs": 4}) == 4
+    assert jobs.threads(joblib | {"n_jobs": -1}) == 1
+    assert jobs.threads(joblib | {"n_jobs": -9}) == 2
+    assert jobs.threads(joblib | {"n_jobs": 64}) == 1
+    assert jobs.threads({"_target_": "hydra._internal.core_plugins.basic_launcher.BasicLauncher"}) is None
+    submitit = {"_target_": "hydra_plugins.hydra_submitit_launcher.submitit_launcher.SlurmLauncher"}
+    assert jobs.threads(submitit | {"cpus_per_task": 3}) == 3
+    monkeypatch.setenv("SLURM_CPUS_PER_TASK", "5")
+    assert jobs.threads(submitit | {"cpus_per_task": 3}) == 5
+
+
+def test_a_job_that_ended_without_a_word_is_told_of():
+    found = [jobs.Outcome(0, ["a=1", "b=2"], "0", 0), jobs.Outcome(1, ["a=1", "b=3"], "1", None)]
+    assert jobs.summary(found) == [
+        "1 of 2 jobs failed:",
+        "  1 (b=3): its process ended without a word",
+        "start the same sweep again to take up those, and no others",
+    ]
+
+
+# --- the command line, killed ----------------------------------------------------------------------------------------
+
+
+def test_a_killed_command_goes_on(tmp_path):
+    words = [*NSGA2, "method.generations=100000", "checkpoint.every=0"]
+    command = [sys.executable, "-m", "rbfevo", *words, f"hydra.run.dir={tmp_path / 'run'}"]
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen(command, cwd=ROOT, env=environment)
+    path = tmp_path / "run" / checkpoint.NAME
+    end = time.monotonic() + 60
+    while time.monotonic() < end and not (path.exists() and checkpoint.load(tmp_path / "run")["progress"]):
+        time.sleep(0.05)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    step = int(checkpoint.load(tmp_path / "run")["progress"]["step"])
+    assert step > 0
+    assert main([f"resume={tmp_path / 'run'}", f"method.generations={step + 3}"]) == 0
+    assert main([*NSGA2, f"method.generations={step + 3}", f"hydra.run.dir={tmp_path / 'calm'}"]) == 0
+    with np.load(tmp_path / "calm" / "setups.npz") as calm, np.load(tmp_path / "run" / "setups.npz") as torn:
+        assert all(np.array_equal(calm[key], torn[key], equal_nan=calm[key].dtype.kind == "f") for key in calm.files)
+    config = OmegaConf.load(tmp_path / "run" / ".hydra" / "config.yaml")
+    assert config.method.generations == step + 3
+    assert main([f"resume={tmp_path / 'run'}"]) == 2
+
+
+def test_resuming_is_refused_in_one_line_while_the_run_is_on(tmp_path, capsys):
+    code = "import sys; from pathlib import Path; from rbfevo.lock import locked\n"
+    code += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+    assert main([*NSGA2, f"hydra.run.dir={tmp_path}"]) == 0
+    capsys.readouterr()
+    held = subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdin=-1, stdout=-1, cwd=ROOT)
+    assert held.stdout is not None
+    held.stdout.readline()
+    assert main([f"resume={tmp_path}", "method.generations=9"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "another process is at work on this run" in line
+    held.communicate()
+
+
+def test_an_unwritable_place_is_one_line(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="cannot be written"), lock.locked(tmp_path / "file" / "run"):
+        pass
