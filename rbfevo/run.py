@@ -401,7 +401,7 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
         if saved is None:
             storage.refuse_results(directory)
         facts = {"words": list(words), "settings": identity(settings), "whole": identity(settings, whole=True)}
-        facts["versions"] = versions()
+        facts |= {"versions": versions(), "threads": threads}
         journal = Journal(directory, settings.checkpoint_every, facts, saved)
         try:
             run = Run(settings, None if saved is None else tensors(saved["progress"]))
@@ -409,6 +409,8 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
             journal.discard()
             raise
         run.threads = threads
+        if saved is not None:
+            run.warnings += _differences_of(saved, {**facts, "threads": threads})
         reporter = Reporter(run.planned, settings.quiet)
         for note in run.scenario.notes.values():
             reporter.line(note)
@@ -455,6 +457,21 @@ def _checkpoint(settings: Settings, directory: Path) -> dict[str, Any] | None:
     if saved.get("finished") and budgets == progress["steps"]:
         raise UserError(f"{directory} is done: there is nothing to resume (a larger method.generations lengthens it)")
     return saved
+
+
+def _differences_of(saved: dict[str, Any], facts: dict[str, Any]) -> list[str]:
+    """What is no longer as it was when the run was saved, and may change last digits."""
+    before, now = saved.get("versions") or {}, facts["versions"]
+    changed = [
+        f"{name} {before[name]} then, {now[name]} now" for name in now if before.get(name, now[name]) != now[name]
+    ]
+    if saved.get("threads") not in (None, facts["threads"]):
+        changed.append(f"{saved['threads']} threads then, {facts['threads']} now")
+    return (
+        [f"resumed with {'; '.join(changed)}: last digits may differ from those of a run in one piece"]
+        if changed
+        else []
+    )
 
 
 def identity(settings: Settings, whole: bool = False) -> str:

@@ -224,6 +224,14 @@ def test_fewer_generations_than_taken_are_refused(half):
     refused(half, "it has taken 4 already", longer("nsga2", 3))
 
 
+def test_other_versions_are_told(half):
+    state = checkpoint.load(half)
+    checkpoint.save(half, state | {"versions": {**state["versions"], "torch": "1.0"}, "threads": 7})
+    run.carry_out(settings("nsga2"), half, resume=True)
+    (warning,) = counted(half)["warnings"]
+    assert warning.startswith(f"resumed with torch 1.0 then, {torch.__version__} now; 7 threads then, 1 now")
+
+
 def test_a_changed_design_is_refused(half, monkeypatch):
     monkeypatch.setattr("rbfevo.run.digest", lambda *parts: "another")
     monkeypatch.setattr("rbfevo.run.identity", lambda *_, **__: checkpoint.load(half)["settings"])
