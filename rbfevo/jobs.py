@@ -63,7 +63,7 @@ def outcomes(place: Path) -> list[Outcome]:
 
 def states(sweep: Path) -> Iterator[tuple[str, Path, bool]]:
     """The runs below a sweep's directory that have checkpoints: hash of all settings, directory, whether it is done."""
-    for path in sorted(sweep.glob(f"*/{checkpoint.NAME}")):
+    for path in sorted(sweep.glob(f"**/{checkpoint.NAME}")):  # a job's directory may be some levels down
         try:
             state = checkpoint.head(path.parent)
         except UserError:
