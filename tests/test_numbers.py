@@ -98,3 +98,10 @@ def test_the_tables_of_the_page_are_those_on_disk(tmp_path: Path, monkeypatch: p
     assert numbers.main() == 0
     assert page.read_text(encoding="utf-8") == wanted
     assert "| r^2 log r | direct |" in wanted
+
+
+def test_the_rows_of_the_short_page_are_those_of_the_long_one():
+    short, long = (ROOT / "docs" / name for name in ("reliability.md", "reliability-numbers.md"))
+    rows = [line for line in short.read_text().splitlines() if line.startswith("| 1e")]
+    assert len(rows) > 4
+    assert set(rows) <= set(long.read_text().splitlines())
