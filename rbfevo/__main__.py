@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 import traceback
 import uuid
 from collections.abc import Callable, Iterator, Sequence
@@ -28,21 +29,20 @@ from rbfevo.files import write_whole
 
 CONF = next(path for path in (Path(__file__).parent / "conf", Path(__file__).parents[1] / "conf") if path.is_dir())
 HYDRA = ".hydra"
-STOPPED = (130, 143)
 
 
 def job(config: DictConfig) -> None:
     """One job of a sweep: never raises, so that one failed job does not end the others; tells what became of it."""
     said = HydraConfig.get()
-    sweep = Path(said.runtime.cwd, said.sweep.dir)
-    outcome = jobs.Outcome(int(said.job.num), list(said.overrides.task), Path(said.runtime.output_dir).name, None)
-    jobs.tell(sweep, outcome)
+    sweep, name = Path(said.runtime.cwd, said.sweep.dir), Path(said.runtime.output_dir).name
+    outcome = jobs.Outcome(int(said.job.num), list(said.overrides.task), name, str(sweep), None)
+    jobs.tell(outcome)
     code, message = _guarded(lambda: _swept(config, sweep))
     skipped = code == SKIPPED
-    jobs.tell(sweep, outcome._replace(code=0 if skipped else code, message=message, skipped=skipped))
+    jobs.tell(outcome._replace(code=0 if skipped else code, message=message, skipped=skipped))
     if message:
         print(f"rbfevo: {outcome.directory}: {message}", file=sys.stderr)
-    if code in STOPPED:
+    if code in jobs.STOPPED:
         raise KeyboardInterrupt  # whoever interrupts a sweep means all of it
 
 
@@ -68,12 +68,11 @@ def _swept(config: DictConfig, sweep: Path) -> int:
         if how == "done":
             print(f"{directory.name}: done already ({' '.join(said.overrides.task)})", flush=True)
             return SKIPPED
-        with lock.locked(directory):
-            if how == "new":
-                _write_hydra(config, directory)
-            return _carried_out(
-                lambda: carry_out(settings, directory, list(said.overrides.task), how == "resume"), directory
-            )
+        return _locked(
+            directory,
+            lambda: carry_out(settings, directory, list(said.overrides.task), how == "resume"),
+            lambda: _write_hydra(config, directory) if how == "new" else None,
+        )
     finally:
         if numbered != directory:
             with contextlib.suppress(OSError):
@@ -88,27 +87,38 @@ def single(config: DictConfig, resumed: bool) -> int:
     def work() -> int:
         from rbfevo.config import check
         from rbfevo.run import carry_out
+        from rbfevo.storage import refuse_results
 
         settings = check(config)
-        code = carry_out(settings, directory, words, resumed)
-        if resumed:  # with what has changed on the way
-            _write_hydra(config, directory, only=("config.yaml", "overrides.yaml"))
-        return code
+        if resumed:
+            code = carry_out(settings, directory, words, resumed)
+            _write_hydra(config, directory, only=("config.yaml", "overrides.yaml"))  # with what has changed on the way
+            return code
+
+        def before() -> None:
+            refuse_results(directory)
+            _write_hydra(config, directory)
+
+        return _locked(directory, lambda: carry_out(settings, directory, words), before)
 
     code, message = _guarded(work)
-    if code == 2:
-        _tidy(directory)
     if message:
         print(f"rbfevo: {message}", file=sys.stderr)
+    if code == 2 and not resumed:
+        with contextlib.suppress(OSError):
+            directory.rmdir()  # Hydra may have made it; it goes only if it is empty
     return code
 
 
-def _carried_out(work: Callable[[], int], directory: Path) -> int:
-    try:
-        return work()
-    except UserError:
-        _tidy(directory)
-        raise
+def _locked(directory: Path, work: Callable[[], int], before: Callable[[], object]) -> int:
+    """Do some work in a directory that no other process works in; a mistake leaves no new directory behind."""
+    with lock.locked(directory):
+        try:
+            before()
+            return work()
+        except UserError:
+            _tidy(directory)
+            raise
 
 
 def _guarded(work: Callable[[], int]) -> tuple[int, str]:
@@ -168,19 +178,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         run, others = resume.split(words)
         overrides.look_over(others)
-        with _held(others if run is None else [f"hydra.run.dir={run}"]):
+        with lock.locked(run) if run is not None else _held(others):
             if any(word in ("-m", "--multirun") for word in words):
                 return _sweep(others)
-            if run is not None:
-                others = [*resume.recorded(run, others), *overrides.quoted([f"hydra.run.dir={run}"])]
-                others.append("hydra.output_subdir=null")
+            others = others if run is None else resume.recorded(run, others)
             code = 0  # of an option that shows something, such as --help
 
             def task(config: DictConfig) -> None:
                 nonlocal code
                 code = single(config, run is not None)
 
-            _hydra(task, others)
+            with contextlib.chdir(Path.cwd() if run is None else resume.began_in(run)):
+                _hydra(task, [*others, "hydra.output_subdir=null"])  # .hydra/ is written when the lock is held
             return code
     except KeyboardInterrupt:
         return 130
@@ -199,10 +208,7 @@ def _hydra(task: Callable[[DictConfig], None], words: Sequence[str]) -> None:
 @contextlib.contextmanager
 def _held(words: Sequence[str]) -> Iterator[None]:
     """Hold the lock of the run or sweep directory that a word names, before Hydra writes anything there."""
-    named = [
-        word.partition("=")[2].strip("'\"") for word in words if word.startswith(("hydra.run.dir=", "hydra.sweep.dir="))
-    ]
-    named = [value for value in named if "${" not in value]
+    named = [value for key in ("hydra.run.dir", "hydra.sweep.dir") for value in _literal(words, key)]
     with contextlib.ExitStack() as stack:
         for value in named:
             stack.enter_context(lock.locked(Path(value)))
@@ -210,13 +216,24 @@ def _held(words: Sequence[str]) -> Iterator[None]:
         yield
 
 
+def _literal(words: Sequence[str], key: str) -> list[str]:
+    """The values of a key that is a path, without quotes; those that Hydra has to work out first are left out."""
+    values = [word.partition("=")[2] for word in words if word.partition("=")[0].lstrip("+") == key]
+    plain = [v[1:-1].replace("\\'", "'") if v[:1] == v[-1:] and v[:1] in ("'", '"') and v[1:] else v for v in values]
+    return [value for value in plain if "${" not in value]
+
+
 def _sweep(words: list[str]) -> int:
     """Carry out a sweep; its exit code is the worst of its jobs'."""
-    given = [word.partition("=")[2].strip("'\"") for word in words if word.startswith("hydra.sweep.dir=")]
-    now = datetime.now()
-    sweep = Path(given[-1]) if given else Path(f"outputs/{now:%Y-%m-%d}/{now:%H-%M-%S-%f}-{uuid.uuid4().hex[:6]}")
+    given, now = any(word.partition("=")[0].lstrip("+") == "hydra.sweep.dir" for word in words), datetime.now()
+    literal = _literal(words, "hydra.sweep.dir")
+    sweep = Path(f"outputs/{now:%Y-%m-%d}/{now:%H-%M-%S-%f}-{uuid.uuid4().hex[:6]}")
     if not given:
         words = [*words, *overrides.quoted([f"hydra.sweep.dir={sweep}"])]
+    elif literal:
+        sweep = Path(literal[-1])
+    else:  # what Hydra has to work out; the outcomes tell
+        sweep = Path(tempfile.mkdtemp(prefix="rbfevo-"))
     place = jobs.begin(sweep)
     interrupted, broken = False, ""
     try:
@@ -233,14 +250,16 @@ def _sweep(words: list[str]) -> int:
         broken = " ".join(f"{type(error).__name__}: {error}".split())[:300]
     found = jobs.outcomes(place)
     shutil.rmtree(sweep / jobs.STATUS, ignore_errors=True)
+    if given and not literal:
+        shutil.rmtree(sweep, ignore_errors=True)
     for line in [*([f"rbfevo: {broken}"] if broken else []), *jobs.summary(found)]:
         print(line, file=sys.stderr, flush=True)
     codes = [1 if outcome.code is None else outcome.code for outcome in found]
-    stops = [code for code in codes if code in STOPPED]
+    stops = [code for code in codes if code in jobs.STOPPED]
     if stops or interrupted:
         return stops[0] if stops else 130
     if 0 in codes and "figures=false" not in words:
-        collected(sweep, "quiet=true" in words)
+        collected(Path(found[0].sweep), "quiet=true" in words)
     return max([*codes, int(bool(broken))], default=0)
 
 

@@ -71,7 +71,7 @@ def _read(directory: Path, whole: bool) -> dict[str, Any]:
         raise UserError(f"{directory} holds no checkpoint: there is nothing to resume; start the run anew") from None
     except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
         raise UserError(f"{path} is damaged or no checkpoint ({_line(error)}): start a new run") from None
-    except NotImplementedError as error:  # a compression that zipfile does not know
+    except (RuntimeError, MemoryError) as error:  # what zipfile says of a member that claims to be encrypted, or huge
         raise UserError(f"{path} is damaged ({_line(error)}): start a new run") from None
 
 

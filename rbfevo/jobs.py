@@ -18,29 +18,32 @@ from rbfevo.errors import UserError
 from rbfevo.files import write_whole
 
 STATUS = ".jobs"  # in the sweep's directory: a directory for each time that it was started
-START = "RBFEVO_START"  # the name of that directory, for jobs in other processes
+START = "RBFEVO_START"  # where that directory is, for jobs in other processes
+
+
+STOPPED = (130, 143)  # exit codes after SIGINT and SIGTERM
 
 
 class Outcome(NamedTuple):
-    """What became of a job: its number, its words, its directory, exit code (None: not yet), why, skipped."""
+    """What became of a job: number, words, its directory and the sweep's, exit code (None: not yet), why, skipped."""
 
     number: int
     words: list[str]
     directory: str
+    sweep: str
     code: int | None
     message: str = ""
     skipped: bool = False
 
 
 def begin(sweep: Path) -> Path:
-    """A place for the outcomes of this start of the sweep.
+    """A place for the outcomes of this start of the sweep, below its directory.
 
     Raises:
-        UserError: if the sweep's directory cannot be written to.
+        UserError: if it cannot be written to.
     """
-    name = uuid.uuid4().hex[:12]
-    os.environ[START] = name
-    place = sweep / STATUS / name
+    place = (sweep / STATUS / uuid.uuid4().hex[:12]).absolute()
+    os.environ[START] = str(place)
     try:
         place.mkdir(parents=True)
     except OSError as error:
@@ -48,9 +51,9 @@ def begin(sweep: Path) -> Path:
     return place
 
 
-def tell(sweep: Path, outcome: Outcome) -> None:
+def tell(outcome: Outcome) -> None:
     """Note what became of a job."""
-    place = sweep / STATUS / os.environ.get(START, "unknown")
+    place = Path(os.environ[START])
     place.mkdir(parents=True, exist_ok=True)
     write_whole(place / f"{outcome.number}.json", json.dumps(outcome._asdict()).encode())
 
@@ -92,7 +95,8 @@ def summary(found: list[Outcome]) -> list[str]:
             f"  {outcome.number} ({' '.join(word for word in outcome.words if word not in common) or 'the only job'})"
         )
 
-    failed = [outcome for outcome in found if outcome.code not in (0, None)]
+    stopped = [outcome for outcome in found if outcome.code in STOPPED]
+    failed = [outcome for outcome in found if outcome.code not in (0, None, *STOPPED)]
     lost = [outcome for outcome in found if outcome.code is None]
     skipped = sum(outcome.skipped for outcome in found)
     lines = []
@@ -102,7 +106,10 @@ def summary(found: list[Outcome]) -> list[str]:
         lines.append(f"{len(failed) + len(lost)} of {len(found)} jobs failed:")
         lines += [f"{told(outcome)}: {outcome.message or 'no reason given'}" for outcome in failed]
         lines += [f"{told(outcome)}: its process ended without a word" for outcome in lost]
-        lines.append("start the same sweep again to take up those, and no others")
+    if stopped:
+        lines.append("interrupted")
+    if failed or lost or stopped:
+        lines.append("start the same sweep again to take up what is not done, and nothing else")
     return lines
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import time
@@ -46,9 +47,9 @@ class Journal:
         self._offset = int(saved["history"]) if saved else 0
         if saved:
             self._continue()
-        elif not (directory / checkpoint.NAME).exists():
+        self._fresh = saved is None and not (directory / checkpoint.NAME).exists()  # to be removed if nothing begins
+        if self._fresh:
             checkpoint.save(directory, {**facts, "history": 0, "finished": False, "progress": None})
-        self._fresh = saved is None  # no checkpoint holds any progress
         self._last = time.monotonic()
 
     def _continue(self) -> None:
@@ -64,8 +65,9 @@ class Journal:
     def record(self, records: Sequence[Record]) -> None:
         """Add lines to the history."""
         self._pending += csv_text(None, records)
-        if len(self._pending) > BUFFER and self.complaint is None:
-            self._write()
+        if len(self._pending) > BUFFER:
+            with contextlib.suppress(UserError):  # it waits until there is room; the next checkpoint tells of it
+                self._write()
 
     def due(self) -> bool:
         """Whether it is time for a checkpoint."""
@@ -117,7 +119,7 @@ class Journal:
         write_whole(self.directory / HISTORY, content)
 
     def discard(self) -> None:
-        """Remove the first checkpoint of a run that never began; a later one stays."""
+        """Remove the first checkpoint of a run that never began; one that was there, or tells of progress, stays."""
         if self._fresh:
             (self.directory / checkpoint.NAME).unlink(missing_ok=True)
 

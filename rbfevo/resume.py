@@ -32,13 +32,23 @@ def split(words: Sequence[str]) -> tuple[Path | None, list[str]]:
                 f"{word}: this may not change while a run goes on; only method.*generations, checkpoint.*, quiet and "
                 "device may"
             )
-    value = runs[0].partition("=")[2].strip("'\"")
+    value = runs[0].partition("=")[2]
+    if len(value) > 1 and value[0] == value[-1] and value[0] in "'\"":
+        value = value[1:-1].replace("\\'", "'")
     if not value:
         raise UserError("resume=: the directory of a run is expected")
     run = Path(value)
     if not run.is_dir():
         raise UserError(f"resume={value}: {'this is a file, not a' if run.exists() else 'there is no such'} directory")
-    return run, others
+    if not (run / checkpoint.NAME).exists():
+        raise UserError(f"{run} holds no checkpoint: there is nothing to resume; start the run anew")
+    return run.resolve(), others
+
+
+def began_in(run: Path) -> Path:
+    """The directory that a run was begun in, if it is still there, else the present one: paths are seen from there."""
+    told = Path(str(checkpoint.head(run).get("cwd") or "."))
+    return told if told.is_dir() else Path.cwd()
 
 
 def recorded(run: Path, others: Sequence[str]) -> list[str]:
@@ -47,11 +57,13 @@ def recorded(run: Path, others: Sequence[str]) -> list[str]:
     Raises:
         UserError: if there is no checkpoint, or it does not tell them.
     """
-    words = checkpoint.load(run).get("words")
+    words = checkpoint.head(run).get("words")
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
         raise UserError(f"{run / checkpoint.NAME} does not tell how the run was made: start a new run")
     changed = {_key(word) for word in others}
-    return [*(word for word in words if _key(word) not in changed), *others]
+    place = str(run).replace("'", "\\'")
+    kept = [word for word in words if _key(word) not in changed]
+    return [*kept, *others, f"hydra.run.dir='{place}'"]
 
 
 def _key(word: str) -> str:

@@ -19,7 +19,7 @@ import torch
 from omegaconf import OmegaConf
 
 from rbfevo import figures, reach, storage
-from rbfevo.checkpoint import NAME, digest, load, tensors
+from rbfevo.checkpoint import digest, load, tensors
 from rbfevo.config import Settings, build
 from rbfevo.errors import UserError
 from rbfevo.evaluator import Evaluator
@@ -398,10 +398,10 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
     with locked(directory), Interruption() as interruption, coarse() as threads:
         clear_unfinished(directory)
         saved = _checkpoint(settings, directory) if resume else None
-        if saved is None:
+        if not resume:
             storage.refuse_results(directory)
         facts = {"words": list(words), "settings": identity(settings), "whole": identity(settings, whole=True)}
-        facts |= {"versions": versions(), "threads": threads}
+        facts |= {"versions": versions(), "threads": threads, "cwd": str(Path.cwd())}
         journal = Journal(directory, settings.checkpoint_every, facts, saved)
         try:
             run = Run(settings, None if saved is None else tensors(saved["progress"]))
@@ -451,7 +451,6 @@ def _checkpoint(settings: Settings, directory: Path) -> dict[str, Any] | None:
             "and device may change on the way"
         )
     if progress is None:
-        (directory / NAME).unlink()
         return None
     budgets = [stage.steps for stage in stages_of(build(settings.method))]
     if saved.get("finished") and budgets == progress["steps"]:

@@ -63,6 +63,31 @@ def test_a_disk_that_is_full_for_a_while_does_no_harm(tmp_path, monkeypatch, cap
     assert capsys.readouterr().out.count("No space left on device") == 1
 
 
+def test_a_full_disk_leaves_no_method_out(tmp_path, monkeypatch):
+    run.carry_out(settings("panel"), tmp_path / "calm")
+    monkeypatch.setattr("rbfevo.journal.BUFFER", 10)
+    disk = FullDisk(monkeypatch)
+    at_step(monkeypatch, 2, lambda: setattr(disk, "full", True))
+    at_step(monkeypatch, 6, lambda: setattr(disk, "full", False))
+    assert run.carry_out(settings("panel"), tmp_path / "run") == 0
+    assert_same(tmp_path / "run", tmp_path / "calm")
+
+
+def test_a_run_that_broke_down_before_its_first_checkpoint_begins_anew(tmp_path, monkeypatch):
+    run.carry_out(settings("nsga2"), tmp_path / "calm")
+
+    def breaks() -> None:
+        raise RuntimeError("a bug")
+
+    with monkeypatch.context() as patch:
+        at_step(patch, 3, breaks)
+        with pytest.raises(RuntimeError, match="a bug"):
+            run.carry_out(settings("nsga2", None), tmp_path / "run")
+    assert arrays(tmp_path / "run")
+    assert run.carry_out(settings("nsga2"), tmp_path / "run", resume=True) == 0
+    assert_same(tmp_path / "run", tmp_path / "calm")
+
+
 def test_a_disk_that_stays_full_is_one_line_and_the_run_goes_on_later(tmp_path, monkeypatch):
     run.carry_out(settings("nsga2"), tmp_path / "calm")
     with monkeypatch.context() as patch:

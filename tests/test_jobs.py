@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from omegaconf import OmegaConf
 
 from rbfevo import checkpoint, jobs, lock
@@ -209,11 +210,11 @@ def test_threads_of_jobs_fit_the_cores(monkeypatch):
 
 
 def test_a_job_that_ended_without_a_word_is_told_of():
-    found = [jobs.Outcome(0, ["a=1", "b=2"], "0", 0), jobs.Outcome(1, ["a=1", "b=3"], "1", None)]
+    found = [jobs.Outcome(0, ["a=1", "b=2"], "0", "s", 0), jobs.Outcome(1, ["a=1", "b=3"], "1", "s", None)]
     assert jobs.summary(found) == [
         "1 of 2 jobs failed:",
         "  1 (b=3): its process ended without a word",
-        "start the same sweep again to take up those, and no others",
+        "start the same sweep again to take up what is not done, and nothing else",
     ]
 
 
@@ -254,6 +255,56 @@ def test_resuming_is_refused_in_one_line_while_the_run_is_on(tmp_path, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert "another process is at work on this run" in line
     held.communicate()
+
+
+@pytest.mark.parametrize("name", ["1e3", "null", "a b", "it's", "x=y,z", "[x]"])
+def test_a_run_goes_on_whatever_its_directory_is_called(name, tmp_path, monkeypatch):
+    place = tmp_path / "place"
+    assert main([*NSGA2, f"hydra.run.dir={place}"]) == 0
+    place.rename(tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    assert main([f"resume={name}", "method.generations=5"]) == 0
+    assert len((tmp_path / name / "history.csv").read_text().splitlines()) == 6
+
+
+def test_a_run_goes_on_from_another_directory(tmp_path, monkeypatch):
+    (tmp_path / "here").mkdir()
+    (tmp_path / "there").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    trimesh.creation.icosphere(subdivisions=2).export("ball.ply")
+    trimesh.creation.icosphere(subdivisions=2, radius=1.2).export("wanted.ply")
+    mesh = [
+        "scenario=mesh",
+        "scenario.template=ball.ply",
+        "scenario.target=wanted.ply",
+        *NSGA2[2:],
+        "hydra.run.dir=run",
+    ]
+    assert main(mesh) == 0
+    monkeypatch.chdir(tmp_path / "there")
+    assert main([f"resume={tmp_path / 'here' / 'run'}", "method.generations=5"]) == 0
+    assert Path.cwd() == tmp_path / "there"
+    (tmp_path / "here" / "ball.ply").unlink()
+    assert main([f"resume={tmp_path / 'here' / 'run'}", "method.generations=6"]) == 2
+    assert (tmp_path / "here" / "run" / "setups.npz").exists()
+
+
+def test_a_mistake_does_not_touch_what_is_there(tmp_path):
+    assert main([*NSGA2, f"hydra.run.dir={tmp_path / 'run-${seed}'}"]) == 0
+    run = tmp_path / "run-0"
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    assert main([*NSGA2, "centers=5", f"hydra.run.dir={tmp_path / 'run-${seed}'}"]) == 2
+    assert main([*NSGA2, "centers=5", f"++hydra.run.dir={run}"]) == 2
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    (tmp_path / "foreign").mkdir()
+    assert main([f"resume={tmp_path / 'foreign'}"]) == 2
+    assert not list((tmp_path / "foreign").iterdir())
+
+
+def test_a_sweep_in_a_directory_that_hydra_works_out_tells_what_failed(tmp_path, capsys):
+    assert main(["-m", *NSGA2, f"hydra.sweep.dir={tmp_path}/of-${{seed}}", "centers=4,1000"]) == 2
+    assert "1 of 2 jobs failed:" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["of-0"]
 
 
 def test_an_unwritable_place_is_one_line(tmp_path):
