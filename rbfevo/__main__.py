@@ -54,7 +54,8 @@ def _swept(config: DictConfig, sweep: Path) -> int:
     import torch
 
     from rbfevo.config import check
-    from rbfevo.run import carry_out, identity
+    from rbfevo.identity import identity
+    from rbfevo.run import carry_out
 
     said = HydraConfig.get()
     share = jobs.threads(said.launcher)
@@ -85,6 +86,7 @@ def single(config: DictConfig, resumed: bool) -> int:
     directory, words = Path(said.runtime.output_dir), list(said.overrides.task)
 
     def work() -> int:
+        """Check the settings and carry out the run; its exit code."""
         from rbfevo.config import check
         from rbfevo.run import carry_out
         from rbfevo.storage import refuse_results

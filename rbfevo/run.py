@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
 import importlib.metadata
 import platform
@@ -16,15 +15,15 @@ from types import FrameType
 from typing import Any
 
 import torch
-from omegaconf import OmegaConf
 
 from rbfevo import figures, reach, storage
-from rbfevo.checkpoint import digest, load, tensors
+from rbfevo.checkpoint import digest, tensors
 from rbfevo.config import Settings, build
 from rbfevo.errors import UserError
 from rbfevo.evaluator import Evaluator
 from rbfevo.evolvability import Scores
 from rbfevo.files import clear_unfinished
+from rbfevo.identity import changes_since, checkpoint_for, identity, stages_of
 from rbfevo.journal import Journal
 from rbfevo.kernels import Kernel
 from rbfevo.lock import locked
@@ -397,7 +396,7 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
     """
     with locked(directory), Interruption() as interruption, coarse() as threads:
         clear_unfinished(directory)
-        saved = _checkpoint(settings, directory) if resume else None
+        saved = checkpoint_for(settings, directory) if resume else None
         if not resume:
             storage.refuse_results(directory)
         facts = {"words": list(words), "settings": identity(settings), "whole": identity(settings, whole=True)}
@@ -410,7 +409,7 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
             raise
         run.threads = threads
         if saved is not None:
-            run.warnings += _differences_of(saved, {**facts, "threads": threads})
+            run.warnings += changes_since(saved, {**facts, "threads": threads})
         reporter = Reporter(run.planned, settings.quiet)
         for note in run.scenario.notes.values():
             reporter.line(note)
@@ -435,62 +434,6 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
         else:
             reporter.line(f"to go on: python -m rbfevo {shlex.join([f'resume={directory}'])}")
     return 0 if interruption.signal is None else 128 + interruption.signal
-
-
-def _checkpoint(settings: Settings, directory: Path) -> dict[str, Any] | None:
-    """The checkpoint that the run is to go on from; None if it was made before the search began.
-
-    Raises:
-        UserError: if there is none, or it is damaged, of other settings, or of a run that is done.
-    """
-    saved = load(directory)
-    progress = saved.get("progress")
-    if saved.get("settings") != identity(settings):
-        raise UserError(
-            f"{directory}: its checkpoint was made with other settings: only method.*generations, checkpoint.*, quiet "
-            "and device may change on the way"
-        )
-    if progress is None:
-        return None
-    budgets = [stage.steps for stage in stages_of(build(settings.method))]
-    if saved.get("finished") and budgets == progress["steps"]:
-        raise UserError(f"{directory} is done: there is nothing to resume (a larger method.generations lengthens it)")
-    return saved
-
-
-def _differences_of(saved: dict[str, Any], facts: dict[str, Any]) -> list[str]:
-    """What is no longer as it was when the run was saved, and may change last digits."""
-    before, now = saved.get("versions") or {}, facts["versions"]
-    changed = [
-        f"{name} {before[name]} then, {now[name]} now" for name in now if before.get(name, now[name]) != now[name]
-    ]
-    if saved.get("threads") not in (None, facts["threads"]):
-        changed.append(f"{saved['threads']} threads then, {facts['threads']} now")
-    return (
-        [f"resumed with {'; '.join(changed)}: last digits may differ from those of a run in one piece"]
-        if changed
-        else []
-    )
-
-
-def identity(settings: Settings, whole: bool = False) -> str:
-    """A hash of the settings that a result depends on; the numbers of generations count only if it is to be `whole`."""
-    plain = dataclasses.asdict(settings)
-    for free in ("device", "quiet", "figures", "checkpoint_every"):
-        del plain[free]
-    nodes = {name: OmegaConf.to_container(plain[name]) for name in ("scenario", "kernel", "method")}
-    return digest({**plain, **nodes, "method": nodes["method"] if whole else _without_generations(nodes["method"])})
-
-
-def _without_generations(node: Any) -> Any:
-    if not isinstance(node, dict):
-        return node
-    return {key: _without_generations(value) for key, value in node.items() if key != "generations"}
-
-
-def stages_of(method: Any) -> list[Method]:
-    """The methods that are carried out one after the other."""
-    return getattr(method, "stages", [method])
 
 
 def differences(searched: Sequence[Rows], final: Sequence[Rows]) -> dict[str, float] | None:

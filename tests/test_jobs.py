@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import filelock
 import numpy as np
 import pytest
 import trimesh
@@ -165,10 +166,17 @@ def test_two_sweeps_in_one_directory_are_refused(tmp_path, capsys):
 
 
 def test_a_lock_is_held_more_than_once_by_the_same_process(tmp_path):
+    other = filelock.FileLock(tmp_path / lock.NAME, timeout=0)  # as another process sees it
     with lock.locked(tmp_path), lock.locked(tmp_path):
         pass
     with lock.locked(tmp_path):
-        pass
+        with lock.locked(tmp_path):
+            pass
+        with pytest.raises(filelock.Timeout):  # letting go once is not enough
+            other.acquire()
+    other.acquire()
+    assert other.is_locked
+    other.release()
 
 
 # --- launchers -------------------------------------------------------------------------------------------------------
