@@ -6,7 +6,6 @@ import contextlib
 import functools
 import importlib.metadata
 import platform
-import shlex
 import signal
 import time
 from collections.abc import Sequence
@@ -19,6 +18,7 @@ import torch
 from rbfevo import figures, reach, storage
 from rbfevo.checkpoint import digest, tensors
 from rbfevo.config import Settings, build
+from rbfevo.directory import resuming
 from rbfevo.errors import UserError
 from rbfevo.evaluator import Evaluator
 from rbfevo.evolvability import Scores
@@ -432,7 +432,7 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
             run.keep(journal, reporter, finished=True)
             journal.close()
         else:
-            reporter.line(f"to go on: python -m rbfevo {shlex.join([f'resume={directory}'])}")
+            reporter.line(f"to go on: python -m rbfevo {resuming(directory)}")
     return 0 if interruption.signal is None else 128 + interruption.signal
 
 

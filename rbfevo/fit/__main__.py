@@ -13,6 +13,7 @@ from typing import Any
 from rbfevo import commands
 from rbfevo.choices import FIT_MANIPULATIONS, FIT_STRATEGIES, refuse_others
 from rbfevo.errors import UserError
+from rbfevo.files import refuse_held
 from rbfevo.picks import pick
 from rbfevo.record import Record, read
 
@@ -78,9 +79,7 @@ def carry_out(options: argparse.Namespace) -> int:
         out = options.out or options.run / (
             f"fit-{options.pick.strip().replace(':', '-')}-{manipulation}-{options.strategy}-seed{options.seed}"
         )
-        from rbfevo.storage import refuse_results
-
-        refuse_results(out, results.RESULTS, "--out")
+        refuse_held(out, results.RESULTS, "--out")
         centers = torch.from_numpy(record.centers[row])
         say(f"{options.pick}: row {row} of {options.run}, {manipulation} manipulation, {options.strategy} strategy")
         start = time.perf_counter()
