@@ -83,16 +83,20 @@ def start(main: Callable[[], int]) -> NoReturn:
 
 
 def steady_streams() -> None:
-    """Let this process go on when nobody reads its stdout or stderr any more: what it writes there is lost."""
+    """Let no line on stdout or stderr end this process: nobody may read it any more, or it may not be encodable.
+
+    What is written to a closed pipe is lost. File names that are no text are written as the bytes that they are.
+    """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__"):  # none else put it there
             stream.flush()
             raw = _Pipe(stream.fileno(), "wb", closefd=False)
+            escaped = "surrogateescape" if stream.encoding.lower().startswith("utf") else "backslashreplace"
             steady = io.TextIOWrapper(
                 cast(BinaryIO, raw) if stream.write_through else io.BufferedWriter(raw),
                 encoding=stream.encoding,
-                errors=stream.errors,
+                errors=escaped if stream.errors == "strict" else stream.errors,
                 line_buffering=stream.line_buffering,
                 write_through=stream.write_through,
             )

@@ -125,13 +125,16 @@ def single(config: DictConfig, resumed: bool) -> int:
         _announce(check_top(config), hydras)
 
         from rbfevo.config import check
-        from rbfevo.run import carry_out
+        from rbfevo.run import carry_out, unused_preferences
 
         settings = check(config)
         if resumed:
             code = carry_out(settings, directory, words, resumed)
             _write_hydra(config, directory, only=("config.yaml", "overrides.yaml"))  # with what has changed on the way
             return code
+
+        for unused in unused_preferences(settings):  # in a sweep over methods it is a warning
+            raise UserError(unused)
 
         def before() -> None:
             refuse_results(directory)

@@ -12,6 +12,9 @@ The value of a key that is a path (`KEYS`, and `resume`) is read by these rules:
    run or a sweep, of which there is one, it is part of the name.
 4. Unquoted, `null` is no name, `scenario.fixed=[...]` a box, and with -m `choice(...)` and the like are Hydra's.
 5. A leading `~` or `~user` is that user's home, where there is such a user, and else part of the name.
+
+Hydra notes where it works as if it were to be filled in, so that the path of a run or a sweep may hold `${x}` but no
+`${` that looks like nothing to be filled in, such as `${.`; that is refused.
 """
 
 from __future__ import annotations
@@ -22,6 +25,9 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from rbfevo.errors import UserError
 
 DIRECTORIES = ("hydra.run.dir", "hydra.sweep.dir")
 LISTED = "scenario.fixed"  # a name, or the six numbers of a box
@@ -78,6 +84,14 @@ def given(words: Sequence[str], key: str) -> list[str]:
 def name_of(value: str) -> str:
     """The name that a value is where nothing is filled in, as in `resume=`."""
     return os.path.expanduser(_plain(_unquoted(value)))  # noqa: PTH111
+
+
+def refuse_unheld(path: str | Path, what: str) -> None:
+    """Raise UserError where Hydra cannot work in a directory, since its path holds a `${` that it chokes on."""
+    try:
+        OmegaConf.create({"path": str(Path(path).absolute())})
+    except OmegaConfBaseException:
+        raise UserError(f"{what}: Hydra cannot work where a path holds such a ${{; choose another name") from None
 
 
 def literal(name: str) -> str:

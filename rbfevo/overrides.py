@@ -35,6 +35,10 @@ def look_over(words: Sequence[str]) -> None:
         option = word.startswith(("-", "~")) or (before.startswith("-") and before not in names.SWEEP)
         if not key.strip("+~ ") or not (equals or option):
             raise UserError(f"{word or 'an empty word'}: a setting is written key=value")
+    names.refuse_unheld(Path.cwd(), f"the present directory, {Path.cwd()}")
+    for key in names.DIRECTORIES:
+        for directory in names.given(words, key):
+            names.refuse_unheld(directory, f"{key}={directory}")
     for directory in names.given(words, "hydra.run.dir"):
         refuse_results(Path(directory))
 
