@@ -15,7 +15,7 @@ from typing import Any
 
 import torch
 
-from rbfevo import figures, methods, reach, storage
+from rbfevo import compilation, figures, methods, reach, storage
 from rbfevo.checkpoint import digest, tensors
 from rbfevo.config import Settings, build
 from rbfevo.directory import resuming
@@ -413,14 +413,15 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
         run.threads = threads
         if saved is not None:
             run.warnings += changes_since(saved, {**facts, "threads": threads})
-        reporter = Reporter(run.planned, settings.quiet)
+        reporter = Reporter(run.planned + max(stage.initial for stage in run.stages), settings.quiet)
         for note in run.scenario.notes.values():
             reporter.line(note)
         for warning in run.warnings:
             reporter.line(f"warning: {warning}")
         run.told = len(run.warnings)
         try:
-            run.search(reporter, interruption, journal)
+            with compilation.heard(reporter.line):
+                run.search(reporter, interruption, journal)
         except BaseException:
             run.stop_reason = "error"
             with contextlib.suppress(UserError):  # the first mishap is the one to tell
