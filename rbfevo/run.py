@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib.metadata
+import math
 import platform
 import signal
 import time
@@ -337,7 +338,7 @@ class Run:
             "stop_reason": self.stop_reason,
             "evaluator": self.evaluator.backend,
             "threads": self.threads,
-            "gradient_norm": self.scenario.gradient_norm,
+            "gradient_norm": self.scenario.gradient_norm if math.isfinite(self.scenario.gradient_norm) else None,
             "gradient_is": "direction" if self.scenario.direction_only else "displacement",
             "symmetry": self._symmetry(),
             "up": self.scenario.up,

@@ -19,6 +19,7 @@ _TOUCHING = 1e-9  # of the scan's size: closest points on an edge are that exact
 _NEIGHBOURS = 24
 _WIDEST_GAP = np.deg2rad(120.0)
 _SIDEWAYS = 0.5
+_ORDINARY = 200  # binary digits before or after the point: products of four lengths, which VTK works out, are floats
 
 
 def closest_on_surface(points: Points, vertices: Points, triangles: Triangles) -> tuple[Points, Indices]:
@@ -33,11 +34,14 @@ def surface_query(vertices: Points, triangles: Triangles) -> Query:
     """Return `closest_on_surface` for one surface, to be asked many times: the search tree is built once."""
     import pyvista
 
-    surface = pyvista.PolyData.from_regular_faces(vertices, triangles)
+    size = int(np.frexp(np.abs(vertices).max())[1])
+    exponent = size if abs(size) > _ORDINARY else 0
+    surface = pyvista.PolyData.from_regular_faces(np.ldexp(vertices, -exponent), triangles)
 
     def query(points: Points) -> tuple[Points, Indices]:
-        found: Any = surface.find_closest_cell(points, return_closest_point=True)
-        return np.asarray(found[1], np.float64).reshape(-1, 3), np.asarray(found[0], np.int64).reshape(-1)
+        found: Any = surface.find_closest_cell(np.ldexp(points, -exponent), return_closest_point=True)
+        closest = np.ldexp(np.asarray(found[1], np.float64).reshape(-1, 3), exponent)
+        return closest, np.asarray(found[0], np.int64).reshape(-1)
 
     return query
 

@@ -18,8 +18,8 @@ from rbfevo.scenarios import fixing, placement, sensitivities, topology
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.correspondence import Points, Triangles
 from rbfevo.scenarios.pairing import REJECTIONS, Pairing, pair
-from rbfevo.scenarios.scenario import Sampler, Scenario, unit_gradient
-from rbfevo.scenarios.surfaces import read_surface
+from rbfevo.scenarios.scenario import Sampler, Scenario, near_one, times_power_of_two, unit_gradient
+from rbfevo.scenarios.surfaces import checked_extent, read_surface
 from rbfevo.scenarios.templates import Template, read_template
 from rbfevo.scenarios.vertex_arrays import vertex_array
 
@@ -83,12 +83,14 @@ def mesh(
         if objective != "minimize" or sensitivity_kind != "nodal":
             raise UserError("scenario.objective and scenario.sensitivity_kind belong to a sensitivity, not to a target")
         pairing, words, warnings = _paired(design, target, target_scale, reject)
+        exponent = 0
         wanted, stays = pairing.displacement, pairing.rejected
     else:
         pairing = None
         values = vertex_array(str(sensitivity), read, "sensitivity")
         if not np.any(values):
             raise UserError(f"scenario.sensitivity={sensitivity}: it is zero at every vertex: nothing wants to move")
+        values, exponent = near_one(values)  # adjoint solvers have units of their own: they may be huge, or tiny
         wanted = sensitivities.wanted(values, design.normals, design.areas, design.mass, sensitivity_kind, objective)
         stays = np.zeros(len(wanted), bool)
         warnings = _doubts(design, str(template), str(sensitivity), read, values)
@@ -107,6 +109,7 @@ def mesh(
 
     vertices, faces, mass = (torch.from_numpy(part) for part in (read.vertices, design.triangles, design.mass))
     gradient, norm = unit_gradient(torch.from_numpy(wanted), mass)
+    norm = times_power_of_two(norm, exponent)
     if mirror is not None:
         words, more = symmetry_plane.words(mirror, read.vertices, design.triangles, gradient.numpy(), design.mass)
         notes, warnings = notes | words, warnings + more
@@ -199,7 +202,10 @@ def _paired(
     points, triangles = read_surface(target)
     if scale is not None and not (math.isfinite(scale) and scale > 0):
         raise UserError(f"scenario.target_scale={scale}: a positive number is expected")
-    points = points * (1.0 if scale is None else scale)
+    if scale is not None:
+        with np.errstate(over="ignore"):
+            points = points * scale
+        checked_extent(f"{target} times scenario.target_scale={scale:g}", points)
     mine, its = (float(np.linalg.norm(np.ptp(part, axis=0))) for part in (design.vertices, points))
     if scale is None and not 1.0 / MIXED_UNITS < its / mine < MIXED_UNITS:
         raise UserError(

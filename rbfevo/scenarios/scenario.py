@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -32,7 +33,8 @@ class Scenario:
         lower, upper: [d] corners of the box, model units.
         support: default support radius of compact kernels, model units.
         sample: (count, m, generator) -> [count, m, d] random centers inside the box.
-        gradient_norm: the norm that g had before it was scaled (model units; displacement = gradient * gradient_norm).
+        gradient_norm: the norm that g had before it was scaled (model units; displacement = gradient * gradient_norm);
+            that of huge sensitivities may be infinite.
         notes: facts worth a line in the run's log and summary (what was rejected, what the scan was, ...).
         closest: points [q, 3] -> the closest points [q, 3] of a target that may be met anywhere (NumPy, on the host);
             None where the wanted displacement is fixed.
@@ -138,10 +140,31 @@ class Scenario:
 def unit_gradient(gradient: Tensor, weights: Tensor) -> tuple[Tensor, float]:
     """Scale `gradient` [n, k] to unit weighted Frobenius norm (paper, eq. 8); return it and the norm it had.
 
+    The norm is right for numbers of any size, and infinite only if it is too large for a float itself.
+
     Raises:
         UserError: if the gradient is zero everywhere, so that there is nothing to improve.
     """
+    scaled, exponent = near_one(gradient.numpy())
+    gradient = torch.from_numpy(scaled)
     norm = float(torch.sqrt((weights[:, None] * gradient**2).sum()))
     if not norm > 0.0:
         raise UserError("the estimated fitness gradient is zero at every vertex: the target moves nothing")
-    return gradient / norm, norm
+    return gradient / norm, times_power_of_two(norm, exponent)
+
+
+def near_one(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
+    """Values times 2^-e, and e, such that the largest is from 0.5 to 1: none of their squares is too large or lost.
+
+    Only powers of two are exact: what follows has the same digits as without, where that is of an ordinary size.
+    """
+    exponent = math.frexp(float(np.abs(values).max(initial=0.0)))[1]
+    return np.ldexp(values, -exponent), exponent
+
+
+def times_power_of_two(value: float, exponent: int) -> float:
+    """value 2^exponent, infinite where that is too large."""
+    try:
+        return math.ldexp(value, exponent)
+    except OverflowError:
+        return math.inf

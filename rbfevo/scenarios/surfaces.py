@@ -145,7 +145,7 @@ def _check(path: Path, vertices: Points, triangles: Triangles | None) -> None:
         raise UserError(f"{path}: none of its {len(triangles)} triangles has any area")
 
 
-def checked_extent(path: Path, vertices: Points) -> float:
+def checked_extent(path: Path | str, vertices: Points) -> float:
     """Return the longest side of the box of finite vertices [n, 3]; UserError if it is beyond what can be squared."""
     largest = np.abs(vertices).max()
     if largest > 1e100:
