@@ -28,8 +28,7 @@ import torch
 from hydra import compose, initialize_config_dir
 
 from rbfevo import checkpoint
-from rbfevo.__main__ import CONF
-from rbfevo.config import Settings, check
+from rbfevo.config import CONF, Settings, check
 from rbfevo.methods.stage import Record
 from rbfevo.run import carry_out
 

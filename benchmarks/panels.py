@@ -7,8 +7,7 @@ from typing import NamedTuple
 import hydra
 from hydra.core.global_hydra import GlobalHydra
 
-from rbfevo.__main__ import CONF
-from rbfevo.config import Settings, check
+from rbfevo.config import CONF, Settings, check
 from rbfevo.errors import UserError
 
 

@@ -8,12 +8,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import KDTree
 
-from rbfevo import exchange
+from rbfevo import commands, exchange
 from rbfevo.columns import Setup, setup
 from rbfevo.errors import UserError
-from rbfevo.exchange.command import Parser, carried_out
 from rbfevo.exchange.tables import read_rows
 from rbfevo.picks import pick
 from rbfevo.record import Array, Record, read
@@ -28,9 +26,9 @@ EPILOG = f"""Meshes: {", ".join(ending[1:] for ending in exchange.ENDINGS)}.
 The ending of --out is that of --mesh, or one of {", ".join(exchange.CONVERSIONS)}."""
 
 
-def parser() -> Parser:
+def parser() -> commands.Parser:
     """The options."""
-    made = Parser("rbfevo.apply", DESCRIPTION, EPILOG)
+    made = commands.PickParser("rbfevo.apply", DESCRIPTION, EPILOG)
     what = made.add_mutually_exclusive_group(required=True)
     what.add_argument(
         "--displacements",
@@ -49,7 +47,7 @@ def parser() -> Parser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, or 2 for a user's mistake."""
-    return carried_out(parser(), carry_out, arguments)
+    return commands.carried_out(parser, carry_out, arguments)
 
 
 def carry_out(options: argparse.Namespace) -> None:
@@ -111,6 +109,8 @@ def warnings(
     lowest, highest = places.min(axis=0), places.max(axis=0)
     apart = bool((lowest > record.upper).any() or (highest < record.lower).any())
     if chosen.support is not None:
+        from scipy.spatial import KDTree
+
         nearest = KDTree(chosen.centers_and_images().points).query(places)[0].min()
         if nearest >= chosen.support:
             yield (
@@ -164,4 +164,4 @@ def _volumes(points: Array, tetrahedra: Array) -> Array:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    commands.start(main)

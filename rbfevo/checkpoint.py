@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from rbfevo.directory import CHECKPOINT as NAME
 from rbfevo.errors import UserError
 from rbfevo.files import write_whole
 
-NAME = "checkpoint.npz"
 FORMAT = 1
 _ARRAY = "\0array"  # the key of a JSON object that stands for an array
 

@@ -7,10 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rbfevo import sweep
+from rbfevo import commands, sweep
 from rbfevo.errors import UserError
-from rbfevo.exchange import command
-from rbfevo.figures.report import page_of_sweep
 from rbfevo.files import write_whole
 
 DESCRIPTION = """Collect the runs at and below a directory, and say which setting is best for their mesh.
@@ -21,26 +19,17 @@ report.html  both as a page to compare settings on, and to choose a setup from""
 EPILOG = "Runs may be added at any time: collect them again, the files are rewritten."
 
 
-class Parser(command.Parser):
-    """A parser whose complaints are one line; it takes a directory instead of one run and a pick."""
-
-    def __init__(self) -> None:
-        formatter = argparse.RawDescriptionHelpFormatter
-        argparse.ArgumentParser.__init__(
-            self,
-            prog="python -m rbfevo.collect",
-            description=DESCRIPTION,
-            epilog=EPILOG,
-            allow_abbrev=False,
-            formatter_class=formatter,
-        )
-        self.add_argument("directory", type=Path, metavar="DIR", help="the directory of a sweep, or of several")
-        self.add_argument("--out", type=Path, metavar="DIR", help="where the files go; the directory itself")
+def parser() -> commands.Parser:
+    """The options."""
+    made = commands.Parser("rbfevo.collect", DESCRIPTION, EPILOG)
+    made.add_argument("directory", type=Path, metavar="DIR", help="the directory of a sweep, or of several")
+    made.add_argument("--out", type=Path, metavar="DIR", help="where the files go; the directory itself")
+    return made
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, or 2 for a user's mistake."""
-    return command.carried_out(Parser(), carry_out, arguments)
+    return commands.carried_out(parser, carry_out, arguments)
 
 
 def carry_out(options: argparse.Namespace) -> None:
@@ -61,6 +50,8 @@ def carry_out(options: argparse.Namespace) -> None:
     write_whole(out / "runs.csv", sweep.table_of_runs(sweep.lines(members)))
     write_whole(out / "medians.csv", sweep.table_of_medians(groups))
     files, warnings = ["runs.csv", "medians.csv"], [*(f"left out: {line}" for line in unread), *sweep.doubts(members)]
+    from rbfevo.figures.report import page_of_sweep  # with Matplotlib: only once the runs are known
+
     try:
         write_whole(out / "report.html", page_of_sweep(members, options.directory, out).encode())
         files.append("report.html")
@@ -75,4 +66,4 @@ def carry_out(options: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    commands.start(main)

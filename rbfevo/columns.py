@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.distance import cdist
 
 from rbfevo.errors import UserError
 from rbfevo.record import Array, Record
@@ -96,6 +95,8 @@ class Setup:
 
     def columns(self, points: Array, across: bool = False) -> Array:
         """Phi [q, m] at points [q, d]: with a mirror the columns along its plane, or those across it."""
+        from scipy.spatial.distance import cdist  # takes a while: only once there is something to be worked out
+
         plain = self.phi(cdist(points, self.centers))
         if self.mirror is None:
             return plain

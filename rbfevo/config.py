@@ -1,4 +1,7 @@
-"""From a composed configuration to checked settings: types from the signatures of what the yaml files point at."""
+"""From a composed configuration to checked settings: types from the signatures of what the yaml files point at.
+
+What is wrong with the keys that belong to no group is told without importing torch.
+"""
 
 from __future__ import annotations
 
@@ -7,17 +10,18 @@ import inspect
 import math
 import re
 import typing
+from pathlib import Path
 from typing import Any
 
 import hydra.utils
-from hydra.errors import InstantiationException
-from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import ConfigKeyError, OmegaConfBaseException
 
-from rbfevo.deformation import MANIPULATIONS
+from rbfevo import names
+from rbfevo.choices import DEVICES, EVALUATORS, MANIPULATIONS, refuse_others
 from rbfevo.errors import UserError
 
-DEVICES = ("auto", "cpu", "cuda")
+CONF = next(path for path in (Path(__file__).parent / "conf", Path(__file__).parents[1] / "conf") if path.is_dir())
 
 
 @dataclasses.dataclass
@@ -39,13 +43,16 @@ class RunConfig:
     quiet: bool = False
 
 
+ROOTS = ("hydra", *(field.name for field in dataclasses.fields(RunConfig)))  # where a path in the configuration begins
+
+
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Checked settings of one run; the three nodes are instantiated by `hydra.utils.instantiate`."""
+    """Checked settings of one run; the three nodes, plain dictionaries, are what `build` makes their objects of."""
 
-    scenario: DictConfig
-    kernel: DictConfig
-    method: DictConfig
+    scenario: dict[str, Any]
+    kernel: dict[str, Any]
+    method: dict[str, Any]
     manipulation: str
     seed: int
     centers: int
@@ -63,20 +70,12 @@ def check(config: DictConfig) -> Settings:
     Raises:
         UserError: one line that names the key, what is wrong with it, and what there is.
     """
-    top = typed(config, RunConfig, "")
-    if top.centers < 1:
-        raise UserError(f"centers={top.centers}: at least one center is needed")
-    if not 0 <= top.seed < 2**63:
-        raise UserError(f"seed={top.seed}: choose a whole number from 0 to 2^63 - 1")
-    if top.device not in DEVICES:
-        raise UserError(f"device={top.device}: there is no such device; choose one of {', '.join(DEVICES)}")
-    if not isinstance(top.manipulation, DictConfig) or top.manipulation.get("name") not in MANIPULATIONS:
-        raise UserError(f"manipulation={top.manipulation}: choose one of {', '.join(MANIPULATIONS)}")
+    top = check_top(config)
     return Settings(
         scenario=checked_target(top.scenario, "scenario"),
         kernel=checked_target(top.kernel, "kernel"),
         method=checked_target(top.method, "method"),
-        manipulation=str(top.manipulation.name),
+        manipulation=str(top.manipulation["name"]),
         seed=top.seed,
         centers=top.centers,
         preferences=preferences(top.preference),
@@ -88,13 +87,34 @@ def check(config: DictConfig) -> Settings:
     )
 
 
+def check_top(config: DictConfig) -> RunConfig:
+    """The keys with their types and ranges checked, but for those within the groups; all interpolations filled in.
+
+    Raises:
+        UserError: as `check`.
+    """
+    values = OmegaConf.to_container(config, resolve=True)
+    top = typed(typing.cast(dict[str, Any], values), RunConfig, "")
+    if top.centers < 1:
+        raise UserError(f"centers={top.centers}: at least one center is needed")
+    if not 0 <= top.seed < 2**63:
+        raise UserError(f"seed={top.seed}: choose a whole number from 0 to 2^63 - 1")
+    refuse_others("device", top.device, DEVICES)
+    refuse_others("evaluator", top.evaluator, EVALUATORS)
+    if not isinstance(top.manipulation, dict) or top.manipulation.get("name") not in MANIPULATIONS:
+        raise UserError(f"manipulation={top.manipulation}: choose one of {', '.join(MANIPULATIONS)}")
+    preferences(top.preference)
+    checkpoint_every(top.checkpoint)
+    return top
+
+
 def checkpoint_every(node: Any) -> float | None:
     """Seconds between checkpoints, from the keys below `checkpoint`; None for the first and the last alone.
 
     Raises:
         UserError: for another key, or another value than null or a number of at least 0.
     """
-    keys = dict(node) if isinstance(node, DictConfig) else {} if node is None else {"": node}
+    keys = node if isinstance(node, dict) else {} if node is None else {"": node}
     unknown = [key for key in keys if key != "every"]
     if unknown:
         raise UserError(f"checkpoint.{unknown[0]}: there is no such key; there is checkpoint.every")
@@ -113,7 +133,7 @@ def preferences(value: Any) -> tuple[float, ...] | None:
     """
     if value is None:
         return None
-    values = list(value) if isinstance(value, ListConfig | list | tuple) else [value]
+    values = list(value) if isinstance(value, list | tuple) else [value]
     for entry in values:
         number = isinstance(entry, int | float) and not isinstance(entry, bool)
         if not number or not math.isfinite(entry) or not 0 <= entry <= 1:
@@ -127,25 +147,23 @@ def preferences(value: Any) -> tuple[float, ...] | None:
     return tuple(float(entry) for entry in values)
 
 
-def checked_target(node: Any, path: str) -> DictConfig:
+def checked_target(node: Any, path: str) -> dict[str, Any]:
     """The node with every value converted to the type that its `_target_` declares, nested nodes included."""
-    if not isinstance(node, DictConfig) or "_target_" not in node:
+    if not isinstance(node, dict) or "_target_" not in node:
         raise UserError(f"{path}={node}: this is not an option of the group {path}")
     target = hydra.utils.get_object(node["_target_"])
     hints = typing.get_type_hints(target.__init__ if inspect.isclass(target) else target)
     parameters = inspect.signature(target).parameters
-    plain = {key: value for key, value in node.items() if not isinstance(value, DictConfig)}
+    plain = {key: value for key, value in node.items() if not isinstance(value, dict)}
     fields = []
     for key in plain:
         if key != "_target_" and key not in parameters:
             raise UserError(f"{path}.{key}: there is no such key; there are {', '.join(parameters)}")
         kind = str if key == "_target_" else omegaconf_type(hints.get(str(key), Any))
         fields.append((str(key), kind, dataclasses.field(default=dataclasses.MISSING)))
-    values = typed(OmegaConf.create(plain), dataclasses.make_dataclass("Options", fields), f"{path}.")
-    nested = {
-        key: checked_target(value, f"{path}.{key}") for key, value in node.items() if isinstance(value, DictConfig)
-    }
-    return OmegaConf.create({**{key: values[key] for key in plain}, **nested})
+    values = vars(typed(plain, dataclasses.make_dataclass("Options", fields), f"{path}."))
+    nested = {key: checked_target(value, f"{path}.{key}") for key, value in node.items() if isinstance(value, dict)}
+    return {**values, **nested}
 
 
 def omegaconf_type(hint: Any) -> Any:
@@ -160,21 +178,30 @@ def omegaconf_type(hint: Any) -> Any:
     return hint if hint in (int, float, str, bool) else Any
 
 
-def typed(node: DictConfig, schema: Any, path: str) -> Any:
-    """`node` merged into the schema.
+def typed(values: dict[str, Any], schema: Any, path: str) -> Any:
+    """An instance of the schema, a dataclass, with its fields converted to their types.
 
     Raises:
         UserError: naming the key whose type does not fit, or that does not exist.
     """
     try:
-        return OmegaConf.merge(OmegaConf.structured(schema), node)
+        return OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), OmegaConf.create(_literal(values))))
     except ConfigKeyError as error:
-        names = ", ".join(field.name for field in dataclasses.fields(schema))
-        raise UserError(f"{path}{error.key}: there is no such key; there are {names}") from error
+        there = ", ".join(field.name for field in dataclasses.fields(schema))
+        raise UserError(f"{path}{error.key}: there is no such key; there are {there}") from error
     except OmegaConfBaseException as error:
         key = re.split(r"[.\[]", str(error.full_key or error.key))[0]
         kinds = {field.name: field.type for field in dataclasses.fields(schema)}
-        raise UserError(f"{path}{key}={node[key]}: {in_words(kinds[key])} is expected") from error
+        raise UserError(f"{path}{key}={values[key]}: {in_words(kinds[key])} is expected") from error
+
+
+def _literal(value: Any) -> Any:
+    """A nested value of which OmegaConf resolves nothing once more: what is filled in may look like `${x}` itself."""
+    if isinstance(value, dict):
+        return {key: _literal(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_literal(part) for part in value]
+    return names.literal(value) if isinstance(value, str) else value
 
 
 def in_words(kind: Any) -> str:
@@ -189,12 +216,7 @@ def in_words(kind: Any) -> str:
     return words.get(kind, plain.get(str(kind), "another type"))
 
 
-def build(node: DictConfig, *arguments: Any) -> Any:
-    """Instantiate what a node's `_target_` points at; a user's mistake comes out as it was raised."""
-    try:
-        return hydra.utils.instantiate(node, *arguments)
-    except InstantiationException as error:
-        cause: BaseException | None = error
-        while cause is not None and not isinstance(cause, UserError):
-            cause = cause.__cause__
-        raise (error if cause is None else cause) from None
+def build(node: dict[str, Any], *arguments: Any) -> Any:
+    """Call what a node's `_target_` points at, with the other values, and objects in place of nested nodes."""
+    values = {key: build(value) if isinstance(value, dict) else value for key, value in node.items()}
+    return hydra.utils.get_object(values.pop("_target_"))(*arguments, **values)

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from torch import Tensor, nn
 
-from rbfevo.errors import UserError
+from rbfevo.choices import MANIPULATIONS, refuse_others
 from rbfevo.kernels import Kernel
 from rbfevo.matrices import solve
 from rbfevo.mirror import Image, values
-
-MANIPULATIONS = ("indirect", "direct")
 
 
 class RBFDeformation(nn.Module):
@@ -32,10 +30,7 @@ class RBFDeformation(nn.Module):
         self, vertices: Tensor, kernel: Kernel, manipulation: str = "indirect", image: Image | None = None
     ) -> None:
         super().__init__()
-        if manipulation not in MANIPULATIONS:
-            raise UserError(
-                f"manipulation={manipulation}: there is no such manipulation; choose {' or '.join(MANIPULATIONS)}"
-            )
+        refuse_others("manipulation", manipulation, MANIPULATIONS)
         self.register_buffer("vertices", vertices)
         self.vertices: Tensor
         self.kernel = kernel

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rbfevo import commands
 from rbfevo.columns import Setup, setup
 from rbfevo.errors import UserError
-from rbfevo.exchange.command import Parser, carried_out
 from rbfevo.files import csv_text, npz, refuse_held, write_whole
 from rbfevo.picks import pick
 from rbfevo.record import Array, Record, read
@@ -49,9 +48,9 @@ class Move(NamedTuple):
     direction: bool
 
 
-def parser() -> Parser:
+def parser() -> commands.Parser:
     """The options."""
-    made = Parser("rbfevo.export", DESCRIPTION, "An existing export is never overwritten.")
+    made = commands.PickParser("rbfevo.export", DESCRIPTION, "An existing export is never overwritten.")
     made.add_argument("--out", type=Path, metavar="DIR", help="directory to write; RUN/export-PICK")
     made.add_argument(
         "--step",
@@ -75,7 +74,7 @@ def _share(word: str) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, or 2 for a user's mistake."""
-    return carried_out(parser(), carry_out, arguments)
+    return commands.carried_out(parser, carry_out, arguments)
 
 
 def carry_out(options: argparse.Namespace) -> None:
@@ -270,4 +269,4 @@ def _held(record: Record, move: Move) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    commands.start(main)

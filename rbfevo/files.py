@@ -9,16 +9,17 @@ import re
 import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from rbfevo.errors import UserError
 
+if TYPE_CHECKING:
+    import numpy as np
 
-def refuse_held(directory: Path, names: Sequence[str], option: str) -> None:
-    """Raise UserError if the directory already holds one of the results `names`: they are never overwritten."""
-    held = [name for name in names if (directory / name).exists()]
+
+def refuse_held(directory: Path, files: Sequence[str], option: str) -> None:
+    """Raise UserError if the directory already holds one of the results `files`: they are never overwritten."""
+    held = [name for name in files if (directory / name).exists()]
     if held:
         raise UserError(f"{directory} already holds results ({held[0]}): choose another {option}, or move them away")
 
@@ -56,6 +57,8 @@ def clear_unfinished(directory: Path) -> None:
 
 def npz(arrays: dict[str, np.ndarray]) -> bytes:
     """A compressed .npz archive as bytes; no array needs pickle to be read."""
+    import numpy as np  # not before there is something to write: command lines are read without it
+
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
     return buffer.getvalue()

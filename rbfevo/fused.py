@@ -14,14 +14,30 @@ from __future__ import annotations
 import numba
 import numpy as np
 from llvmlite import ir
-from numba.core import types
+from numba.core import event, types
 from numba.extending import intrinsic
+
+from rbfevo import compilation
 
 WENDLAND, THIN_PLATE, CUBIC = 0, 1, 2
 
 _jit = numba.njit(nogil=True, cache=True, error_model="numpy", boundscheck=False, fastmath={"contract"})
 # Only the sums of the Gram tiles may be reordered; NaN and infinity keep their meaning everywhere.
 _jit_sum = numba.njit(nogil=True, cache=True, error_model="numpy", boundscheck=False, fastmath={"contract", "reassoc"})
+
+
+class _Compilations(event.Listener):
+    """Passes on that numba compiles a function of this module, which it does not where its cache has it."""
+
+    def on_start(self, event: event.Event) -> None:
+        if event.data["dispatcher"].py_func.__module__ == __name__:
+            compilation.begins()
+
+    def on_end(self, event: event.Event) -> None:
+        pass
+
+
+event.register("numba:compile", _Compilations())
 
 
 @intrinsic

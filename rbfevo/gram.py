@@ -13,13 +13,13 @@ from torch import Tensor
 
 from rbfevo import matrices
 from rbfevo.blocks import VertexBlocks, vertex_blocks
+from rbfevo.choices import EVALUATORS, refuse_others
 from rbfevo.errors import UserError
 from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
 from rbfevo.matrices import product, solve_lower
 from rbfevo.mirror import Image, values
 from rbfevo.threads import coarse, run_in_slices
 
-BACKENDS = ("auto", "fused", "eager")
 FUSED_BLOCK = 1024  # m = 25 rows of 1024 float64 are 200 KiB: half of a usual second-level cache
 EAGER_BLOCK = {"cpu": 1024, "cuda": 8192}
 EAGER_BYTES = 1 << 18  # of one temporary of an eager step on the CPU: in cache
@@ -62,8 +62,7 @@ class GramAccumulator:
         block: int | None = None,
         image: Image | None = None,
     ) -> None:
-        if backend not in BACKENDS:
-            raise UserError(f"evaluator={backend}: there is no such evaluator; choose one of {', '.join(BACKENDS)}")
+        refuse_others("evaluator", backend, EVALUATORS)
         code = _fused_code(vertices, kernel)
         possible = code is not None
         if backend == "fused" and not possible:

@@ -6,8 +6,6 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-
 from rbfevo.checkpoint import digest, load
 from rbfevo.config import Settings, build
 from rbfevo.errors import UserError
@@ -55,8 +53,7 @@ def identity(settings: Settings, whole: bool = False) -> str:
     plain = dataclasses.asdict(settings)
     for free in ("device", "quiet", "figures", "checkpoint_every"):
         del plain[free]
-    nodes = {name: OmegaConf.to_container(plain[name]) for name in ("scenario", "kernel", "method")}
-    return digest({**plain, **nodes, "method": nodes["method"] if whole else _without_generations(nodes["method"])})
+    return digest(plain if whole else {**plain, "method": _without_generations(plain["method"])})
 
 
 def _without_generations(node: Any) -> Any:

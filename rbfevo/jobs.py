@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rbfevo import checkpoint
+from rbfevo.directory import CHECKPOINT
 from rbfevo.errors import UserError
 from rbfevo.files import write_whole
 
@@ -25,7 +25,13 @@ STOPPED = (130, 143)  # exit codes after SIGINT and SIGTERM
 
 
 class Outcome(NamedTuple):
-    """What became of a job: number, words, its directory and the sweep's, exit code (None: not yet), why, skipped."""
+    """What became of a job.
+
+    Attributes:
+        number, words, directory, sweep: of Hydra's, and the sweep's directory.
+        code: its exit code, None as long as there is none; message: why; skipped: whether it was done already.
+        figures, quiet: its settings, once they are known.
+    """
 
     number: int
     words: list[str]
@@ -34,6 +40,8 @@ class Outcome(NamedTuple):
     code: int | None
     message: str = ""
     skipped: bool = False
+    figures: bool = True
+    quiet: bool = False
 
 
 def begin(sweep: Path) -> Path:
@@ -66,7 +74,9 @@ def outcomes(place: Path) -> list[Outcome]:
 
 def states(sweep: Path) -> Iterator[tuple[str, Path, bool]]:
     """The runs below a sweep's directory that have checkpoints: hash of all settings, directory, whether it is done."""
-    for path in sorted(sweep.glob(f"**/{checkpoint.NAME}")):  # a job's directory may be some levels down
+    from rbfevo import checkpoint
+
+    for path in sorted(sweep.glob(f"**/{CHECKPOINT}")):  # a job's directory may be some levels down
         try:
             state = checkpoint.head(path.parent)
         except UserError:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import itertools
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import ConfigCompositionException, HydraException, MissingConfigException
+from hydra.errors import HydraException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from rbfevo import storage
+from rbfevo import names
+from rbfevo.config import ROOTS
+from rbfevo.directory import refuse_results
 from rbfevo.errors import UserError
 
 
@@ -27,35 +31,16 @@ def look_over(words: Sequence[str]) -> None:
         UserError: naming the word or the directory.
     """
     for before, word in itertools.pairwise(["", *words]):
-        key, equals, value = word.partition("=")
-        option = word.startswith(("-", "~")) or (before.startswith("-") and before not in ("-m", "--multirun"))
+        key, equals, _ = word.partition("=")
+        option = word.startswith(("-", "~")) or (before.startswith("-") and before not in names.SWEEP)
         if not key.strip("+~ ") or not (equals or option):
             raise UserError(f"{word or 'an empty word'}: a setting is written key=value")
-        if key == "hydra.run.dir":
-            storage.refuse_results(Path(value.strip("'\"")))
-
-
-PATHS = ("template", "target", "sensitivity", "fixed", "scan")  # keys of a scenario that are files or names
-_PLAIN = re.compile(r"[\w./\\+:%@?|$*-]*", re.ASCII)  # what Hydra takes without quotes
-
-
-def quoted(words: Sequence[str]) -> list[str]:
-    """The words with quotes about values that are files or names and that Hydra could not read without.
-
-    That is blanks, brackets, = and the like in `scenario.template=a(1).vtp` or `hydra.run.dir=...`. A comma stays what
-    it is in a sweep (-m), and a list or something in quotes as it is.
-    """
-    sweep = any(word in ("-m", "--multirun") for word in words)
-    found = []
-    for word in words:
-        key, equals, value = word.partition("=")
-        path = key in ("hydra.run.dir", "hydra.sweep.dir") or key in [f"scenario.{name}" for name in PATHS]
-        listed = value[:1] in ("[", "{", "'", '"') or "${" in value or (sweep and "," in value)
-        if equals and path and not listed and not _PLAIN.fullmatch(value):
-            escaped = value.replace("'", "\\'")
-            word = f"{key}='{escaped}'"
-        found.append(word)
-    return found
+    names.refuse_unheld(Path.cwd(), f"the present directory, {Path.cwd()}")
+    for key in names.DIRECTORIES:
+        for directory in names.given(words, key):
+            names.refuse_unheld(directory, f"{key}={directory}")
+    for directory in names.given(words, "hydra.run.dir"):
+        refuse_results(Path(directory))
 
 
 def explain(error: Exception, words: Sequence[str], conf: Path) -> str:
@@ -83,29 +68,41 @@ def explain(error: Exception, words: Sequence[str], conf: Path) -> str:
 
 def unknown_key(key: str, words: Sequence[str], conf: Path) -> str:
     """The line for a key that does not exist: what stands beside where it was looked for, and the nearest of that."""
-    parent, _, name = key.rpartition(".")
-    config = composed(words, conf)
-    node = OmegaConf.select(config, parent) if config is not None and parent else config
-    while parent and not isinstance(node, DictConfig):
-        parent, _, name = parent.rpartition(".")
-        node = OmegaConf.select(config, parent) if config is not None and parent else config
     if key == "kernel.support":
         return "kernel.support: this kernel reaches everywhere and has no support radius; use kernel=wendland"
-    keys = [str(k) for k in node if not str(k).startswith("_")] if isinstance(node, DictConfig) else []
+    parent, _, name = key.rpartition(".")
+    config, keys = None, [root for root in ROOTS if root not in ("hydra", "experiment")]
+    if parent:
+        with contextlib.suppress(HydraException, OmegaConfBaseException):
+            config = composed(words, conf)
+    while parent:
+        node = None if config is None else OmegaConf.select(config, parent)
+        if isinstance(node, DictConfig):
+            keys = [str(k) for k in node if not str(k).startswith("_")]
+            break
+        parent, _, name = parent.rpartition(".")
     path = f"{parent}." if parent else ""
     near = difflib.get_close_matches(name, keys, n=1)
     meant = f" (did you mean {path}{near[0]}?)" if near else ""
-    there = f"there are {', '.join(path + k for k in keys)}" if keys else f"{parent or 'this'} has no keys of its own"
+    there = f"there are {', '.join(path + k for k in keys)}" if keys else f"{parent} has no keys of its own"
     return f"{key}: there is no such key{meant}; {there}"
 
 
-def composed(words: Sequence[str], conf: Path) -> DictConfig | None:
-    """The configuration with the choices of groups among `words` alone, or None if even that cannot be composed."""
+def composed(words: Sequence[str], conf: Path) -> DictConfig:
+    """The configuration with the choices of groups among `words` alone.
+
+    Raises:
+        HydraException, OmegaConfBaseException: if that cannot be composed.
+    """
     groups = {path.name for path in conf.iterdir() if path.is_dir()}
     choices = [word for word in words if word.partition("=")[0] in groups and "," not in word]
-    try:
-        GlobalHydra.instance().clear()
-        with hydra.initialize_config_dir(str(conf), version_base="1.3"):
-            return hydra.compose("config", overrides=choices)
-    except (ConfigCompositionException, HydraException, OmegaConfBaseException):
-        return None
+    with initialized(conf):
+        return hydra.compose("config", overrides=choices)
+
+
+@contextlib.contextmanager
+def initialized(conf: Path) -> Iterator[Any]:
+    """Let Hydra find the configuration, whatever it was at before in this process; yields what carries out words."""
+    GlobalHydra.instance().clear()
+    with hydra.initialize_config_dir(str(conf), job_name="rbfevo", version_base="1.3"):
+        yield GlobalHydra.instance().hydra

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import collections
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,21 +18,57 @@ from rbfevo.methods.stage import Record
 from rbfevo.pareto import hypervolume, knee
 
 LINE_EVERY = 10.0  # seconds between lines where the output is not a terminal
+SOON = 2.0  # seconds to the first line, and to the next after one that could not yet tell the rate
+WINDOW = 20.0  # seconds that a rate looks back
+SHORTEST = 1.0  # seconds that a rate worth telling looks back at least
+
+
+class Rate:
+    """Evaluations a second over the last steps of one method.
+
+    It starts with the first step that is done: what was there before, such as the evaluations of a run that is resumed,
+    or the time that a compiler took, says nothing of the time that is left.
+    """
+
+    def __init__(self) -> None:
+        self._marks: collections.deque[tuple[float, int]] = collections.deque()
+        self._method = ""
+
+    def mark(self, now: float, evaluations: int, method: str) -> None:
+        """Note how many evaluations there are after a step."""
+        if method != self._method:
+            self._method = method
+            self._marks.clear()
+        self._marks.append((now, evaluations))
+        while len(self._marks) > 2 and now - self._marks[1][0] >= WINDOW:
+            self._marks.popleft()
+
+    def __call__(self) -> float | None:
+        """The rate, or None while there is none worth telling."""
+        if not self._marks:
+            return None
+        (since, before), (now, evaluations) = self._marks[0], self._marks[-1]
+        if now - since < SHORTEST or evaluations <= before:
+            return None
+        return (evaluations - before) / (now - since)
 
 
 class Reporter:
     """Progress on a terminal, a line now and then elsewhere, nothing when quiet.
 
     Args:
-        planned: evaluations that the whole run will take.
+        planned: evaluations that the whole run will take, with those of before it was resumed.
         quiet: say nothing at all.
+        clock: seconds.
     """
 
-    def __init__(self, planned: int, quiet: bool, console: Console | None = None) -> None:
+    def __init__(
+        self, planned: int, quiet: bool, console: Console | None = None, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.console = console or Console(quiet=quiet, highlight=False, soft_wrap=True)
         self.planned = max(planned, 1)
-        self._start = time.monotonic()
-        self._last_line = self._start - 0.8 * LINE_EVERY  # the first line comes soon
+        self._clock, self._rate = clock, Rate()
+        self._next_line = clock() + SOON
         self._bar: Progress | None = None
         if self.console.is_terminal and not quiet:
             self._bar = Progress(
@@ -52,13 +89,17 @@ class Reporter:
 
     def update(self, evaluations: int, step: int, steps: int, records: Sequence[Record]) -> None:
         """Show the state after a step of a method."""
-        now = time.monotonic()
-        if not records or (self._bar is None and now - self._last_line < LINE_EVERY):
+        if not records:
             return
-        self._last_line = now
-        rate = evaluations / max(now - self._start, 1e-9)
-        left = max(self.planned - evaluations, 0) / max(rate, 1e-9)
-        state = f"{rate:,.0f} evaluations/s, hypervolume {records[0].hypervolume:.4f}, {left:.0f} s left"
+        now = self._clock()
+        self._rate.mark(now, evaluations, records[0].method)
+        if self._bar is None and now < self._next_line:
+            return
+        rate, state = self._rate(), f"hypervolume {records[0].hypervolume:.4f}"
+        if rate is not None:
+            left = max(self.planned - evaluations, 0) / rate
+            state = f"{rate:,.0f} evaluations/s, {state}, {left:.0f} s left"
+        self._next_line = now + (SOON if rate is None else LINE_EVERY)
         name = f"{records[0].method} {step}/{steps}"
         if self._bar is not None:
             self._bar.update(self._task, description=name, completed=evaluations, state=state)

@@ -6,7 +6,8 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from rbfevo import checkpoint
+from rbfevo import names
+from rbfevo.directory import CHECKPOINT
 from rbfevo.errors import UserError
 
 FREE = re.compile(r"\+{0,2}(checkpoint(\.\w+)?|quiet|device|method(\.\w+)*\.generations)")
@@ -24,7 +25,7 @@ def split(words: Sequence[str]) -> tuple[Path | None, list[str]]:
         return None, others
     if len(runs) > 1:
         raise UserError("resume: one run at a time")
-    if any(word in ("-m", "--multirun") for word in others):
+    if names.is_sweep(others):
         raise UserError("resume goes on with one run; to go on with a sweep, start it again in its hydra.sweep.dir")
     for word in others:
         if not FREE.fullmatch(word.partition("=")[0]):
@@ -32,21 +33,21 @@ def split(words: Sequence[str]) -> tuple[Path | None, list[str]]:
                 f"{word}: this may not change while a run goes on; only method.*generations, checkpoint.*, quiet and "
                 "device may"
             )
-    value = runs[0].partition("=")[2]
-    if len(value) > 1 and value[0] == value[-1] and value[0] in "'\"":
-        value = value[1:-1].replace("\\'", "'")
+    value = names.name_of(runs[0].partition("=")[2])
     if not value:
         raise UserError("resume=: the directory of a run is expected")
     run = Path(value)
     if not run.is_dir():
         raise UserError(f"resume={value}: {'this is a file, not a' if run.exists() else 'there is no such'} directory")
-    if not (run / checkpoint.NAME).exists():
+    if not (run / CHECKPOINT).exists():
         raise UserError(f"{run} holds no checkpoint: there is nothing to resume; start the run anew")
     return run.resolve(), others
 
 
 def began_in(run: Path) -> Path:
     """The directory that a run was begun in, if it is still there, else the present one: paths are seen from there."""
+    from rbfevo import checkpoint
+
     told = Path(str(checkpoint.head(run).get("cwd") or "."))
     return told if told.is_dir() else Path.cwd()
 
@@ -57,13 +58,14 @@ def recorded(run: Path, others: Sequence[str]) -> list[str]:
     Raises:
         UserError: if there is no checkpoint, or it does not tell them.
     """
+    from rbfevo import checkpoint
+
     words = checkpoint.head(run).get("words")
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-        raise UserError(f"{run / checkpoint.NAME} does not tell how the run was made: start a new run")
+        raise UserError(f"{run / CHECKPOINT} does not tell how the run was made: start a new run")
     changed = {_key(word) for word in others}
-    place = str(run).replace("'", "\\'")
     kept = [word for word in words if _key(word) not in changed]
-    return [*kept, *others, f"hydra.run.dir='{place}'"]
+    return [*kept, *others, names.word("hydra.run.dir", run)]
 
 
 def _key(word: str) -> str:

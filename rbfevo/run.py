@@ -6,7 +6,6 @@ import contextlib
 import functools
 import importlib.metadata
 import platform
-import shlex
 import signal
 import time
 from collections.abc import Sequence
@@ -16,9 +15,10 @@ from typing import Any
 
 import torch
 
-from rbfevo import figures, reach, storage
+from rbfevo import compilation, figures, methods, reach, storage
 from rbfevo.checkpoint import digest, tensors
 from rbfevo.config import Settings, build
+from rbfevo.directory import resuming
 from rbfevo.errors import UserError
 from rbfevo.evaluator import Evaluator
 from rbfevo.evolvability import Scores
@@ -94,6 +94,8 @@ class Run:
         self._enough_vertices(method)
         self.name: str = method.name
         self.stages = stages_of(method)
+        for stage in self.stages:
+            stage.check(settings.preferences)
         self.planned = sum(stage.planned_evaluations(settings.preferences) for stage in self.stages)
         backend = settings.evaluator
         self.searched = self.scenario
@@ -111,6 +113,7 @@ class Run:
         )  # by the parts of this run that were carried out earlier
         self._stage_index = self._step = self._before = 0  # of the rows, those before this stage
         self.warnings: list[str] = [*self.scenario.warnings, *reach.unfit(self.scenario, self.kernel)]
+        self.warnings += unused_preferences(settings)
         self.differences: dict[str, float] | None = None
         self.told = 0  # warnings that have been printed
         self.seconds = 0.0
@@ -410,14 +413,15 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
         run.threads = threads
         if saved is not None:
             run.warnings += changes_since(saved, {**facts, "threads": threads})
-        reporter = Reporter(run.planned, settings.quiet)
+        reporter = Reporter(run.planned + max(stage.initial for stage in run.stages), settings.quiet)
         for note in run.scenario.notes.values():
             reporter.line(note)
         for warning in run.warnings:
             reporter.line(f"warning: {warning}")
         run.told = len(run.warnings)
         try:
-            run.search(reporter, interruption, journal)
+            with compilation.heard(reporter.line):
+                run.search(reporter, interruption, journal)
         except BaseException:
             run.stop_reason = "error"
             with contextlib.suppress(UserError):  # the first mishap is the one to tell
@@ -432,8 +436,23 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
             run.keep(journal, reporter, finished=True)
             journal.close()
         else:
-            reporter.line(f"to go on: python -m rbfevo {shlex.join([f'resume={directory}'])}")
+            reporter.line(f"to go on: python -m rbfevo {resuming(directory)}")
     return 0 if interruption.signal is None else 128 + interruption.signal
+
+
+def unused_preferences(settings: Settings) -> list[str]:
+    """What there is to say where preferences are asked for and none of the methods has any use for them."""
+    stages = stages_of(build(settings.method))
+    if settings.preferences is None or any(stage.prefers for stage in stages):
+        return []
+    every = [getattr(methods, name) for name in methods.__all__]
+    others = sorted(other.name for other in every if issubclass(other, Method) and other.prefers)
+    asked = [f"{preference:g}" for preference in settings.preferences]
+    value = asked[0] if len(asked) == 1 else f"[{','.join(asked)}]"
+    return [
+        f"preference={value}: method={stages[0].name} finds the same setups without it; leave it out, or choose method="
+        f"{' or '.join(others)}"
+    ]
 
 
 def differences(searched: Sequence[Rows], final: Sequence[Rows]) -> dict[str, float] | None:

@@ -8,10 +8,9 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+from rbfevo import commands
 from rbfevo.errors import UserError
-from rbfevo.exchange.command import Parser, carried_out
 from rbfevo.figures import processes
 from rbfevo.figures.scene import COLOURS, KEYS, SHAPES, SOFTWARE, State
 from rbfevo.picks import pick
@@ -32,18 +31,9 @@ class BrokenError(Exception):
     """A window or a picture that did not come about, for no mistake of the user's."""
 
 
-class _Parser(Parser):
-    """A parser to which a pick is not required."""
-
-    def add_argument(self, *names: Any, **settings: Any) -> argparse.Action:
-        if "--pick" in names:
-            settings |= {"required": False, "help": f"{settings['help']}; {DEFAULT}"}
-        return super().add_argument(*names, **settings)
-
-
-def parser() -> Parser:
+def parser() -> commands.Parser:
     """The options."""
-    made = _Parser("rbfevo.show", DESCRIPTION, EPILOG)
+    made = commands.PickParser("rbfevo.show", DESCRIPTION, EPILOG, default=DEFAULT)
     made.add_argument("--compare", metavar="PICK", help="a second setup beside it")
     made.add_argument(
         "--colour",
@@ -63,9 +53,9 @@ def parser() -> Parser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, 2 for a user's mistake, or 1 where nothing can be drawn."""
     try:
-        return carried_out(parser(), carry_out, arguments)
+        return commands.carried_out(parser, carry_out, arguments)
     except BrokenError as error:
-        print(f"rbfevo.show: {error}", file=sys.stderr)
+        commands.complain("rbfevo.show", str(error))
         return 1
 
 
@@ -191,4 +181,4 @@ def _draw(options: argparse.Namespace, record: Record, state: State) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    commands.start(main)

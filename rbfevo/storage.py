@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from rbfevo import checkpoint
-from rbfevo.errors import UserError
-from rbfevo.files import csv_text, npz, refuse_held, write_whole
+from rbfevo.directory import RESULTS, refuse_results
+from rbfevo.files import csv_text, npz, write_whole
 from rbfevo.methods.stage import Rows
 from rbfevo.pareto import nondominated
 from rbfevo.scenarios.scenario import Scenario
@@ -28,20 +27,6 @@ __all__ = [
     "write_summary",
     "write_whole",
 ]
-
-RESULTS = (
-    *("setups.npz", "setups.csv", "history.csv", "scenario.npz", "summary.json"),
-    *("front.png", "centers.png", "report.html"),
-)
-
-
-def refuse_results(directory: Path, names: Sequence[str] = RESULTS, option: str = "hydra.run.dir") -> None:
-    """Raise UserError if the directory already holds one of the results `names`: they are never overwritten."""
-    refuse_held(directory, names, option)
-    if names is RESULTS and (directory / checkpoint.NAME).exists():
-        raise UserError(
-            f"{directory} holds a run that is not done: resume={directory} goes on with it, or choose another {option}"
-        )
 
 
 def setup_table(rows: Sequence[Rows]) -> dict[str, np.ndarray]:

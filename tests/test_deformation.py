@@ -87,5 +87,5 @@ def test_u_is_differentiable_in_the_centers() -> None:
 
 def test_unknown_manipulation() -> None:
     built = SMALL["plane"]
-    with pytest.raises(UserError, match="choose indirect or direct"):
+    with pytest.raises(UserError, match="choose one of indirect, direct"):
         RBFDeformation(built.vertices, KERNELS["plane"]["triharmonic"], "sideways")

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
+from rbfevo import commands
 from rbfevo.errors import UserError
 from rbfevo.figures import processes
 from rbfevo.files import write_whole
@@ -42,20 +44,30 @@ def draw_here(run: Path, figure: str, opengl: bool) -> None:
     style.save(picture, run / processes.file_of(figure))
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Draw what the command line asks for and return the exit code."""
-    parser = argparse.ArgumentParser(
-        prog="python -m rbfevo.figures", description="Redraw the figures of a run or a fit."
-    )
-    parser.add_argument("run", type=Path, help="the directory of a run or of a fit")
-    parser.add_argument(
+def parser() -> commands.Parser:
+    """The options."""
+    made = commands.Parser("rbfevo.figures", "Redraw the figures of a run or a fit.")
+    made.add_argument("run", type=Path, metavar="DIR", help="the directory of a run or of a fit")
+    made.add_argument(
         "--only", choices=(*processes.FIGURES, *processes.FIT_FIGURES), help="draw one figure, in this very process"
     )
-    parser.add_argument("--no-opengl", action="store_true", help="with --only: draw surfaces without OpenGL")
-    options = parser.parse_args(arguments)
+    made.add_argument("--no-opengl", action="store_true", help="with --only: draw surfaces without OpenGL")
+    return made
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Carry out the command line; return 0, 2 for a user's mistake, or 1 where a figure could not be drawn."""
+    return commands.carried_out(parser, carry_out, arguments)
+
+
+def carry_out(options: argparse.Namespace) -> int:
+    """Draw one figure here, or each in a process of its own; the exit code.
+
+    Raises:
+        UserError: for a user's mistake.
+    """
     if not options.run.is_dir():
-        print(f"rbfevo.figures: {options.run}: there is no such directory", file=sys.stderr)
-        return processes.USER_ERROR
+        raise UserError(f"{options.run}: there is no such directory")
     if options.only is None:
         outcomes = [processes.draw_one(options.run, figure) for figure in processes.figures_of(options.run)]
         for outcome in outcomes:
@@ -64,11 +76,11 @@ def main(arguments: list[str] | None = None) -> int:
         return max(outcome.exit_code for outcome in outcomes)
     try:
         draw_here(options.run, options.only, opengl=not options.no_opengl)
-    except (UserError, OSError) as error:
+    except (UserError, OSError) as error:  # `processes` tells of which figure
         print(" ".join(str(error).split()), file=sys.stderr)
         return processes.USER_ERROR
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    commands.start(main)

@@ -22,9 +22,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rbfevo.fit.manipulations import MANIPULATIONS, Deformation, deformation
+    from rbfevo.choices import FIT_MANIPULATIONS as MANIPULATIONS
+    from rbfevo.choices import FIT_STRATEGIES as STRATEGIES
+    from rbfevo.fit.manipulations import Deformation, deformation
     from rbfevo.fit.objective import Objective
-    from rbfevo.fit.strategy import STRATEGIES, Fit, fits
+    from rbfevo.fit.strategy import Fit, fits
 
 __all__ = ["MANIPULATIONS", "STRATEGIES", "Deformation", "Fit", "Objective", "deformation", "fits"]
 

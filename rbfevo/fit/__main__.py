@@ -5,32 +5,26 @@ from __future__ import annotations
 import argparse
 import os
 import signal
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
+from rbfevo import commands
+from rbfevo.choices import FIT_MANIPULATIONS, FIT_STRATEGIES, refuse_others
 from rbfevo.errors import UserError
-from rbfevo.picks import PICKS, pick
+from rbfevo.files import refuse_held
+from rbfevo.picks import pick
 from rbfevo.record import Record, read
 
 LINE_EVERY = 10.0  # seconds between lines of progress
 SMOOTHNESS = 1.0  # where the target has closest points
+DESCRIPTION = "Optimize the design with a setup of a run, and see how fast and how far it gets."
 
 
-class Parser(argparse.ArgumentParser):
-    """A parser whose complaints are one line."""
-
-    def error(self, message: str) -> NoReturn:
-        raise UserError(f"{message}; see python -m rbfevo.fit --help")
-
-
-def parser() -> Parser:
+def parser() -> commands.Parser:
     """The options; their defaults are those of `fits`, but for the smoothness."""
-    made = Parser(prog="python -m rbfevo.fit", description=__doc__, allow_abbrev=False)
-    made.add_argument("run", type=Path, metavar="RUN", help="a run directory")
-    made.add_argument("--pick", required=True, help=f"which setup: {', '.join(PICKS)}")
+    made = commands.PickParser("rbfevo.fit", DESCRIPTION)
     made.add_argument("--manipulation", help="indirect, direct or orthogonalized; the run's unless given")
     made.add_argument("--strategy", default="isotropic", help="isotropic (only the step size adapts) or cmaes")
     made.add_argument("--seed", type=int, default=0)
@@ -46,12 +40,7 @@ def parser() -> Parser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, 2 for a user's mistake, or 130 and 143 after SIGINT and SIGTERM."""
-    try:
-        options = parser().parse_args(arguments)
-        return carry_out(options)
-    except UserError as error:
-        print(f"rbfevo.fit: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+    return commands.carried_out(parser, carry_out, arguments)
 
 
 def carry_out(options: argparse.Namespace) -> int:
@@ -64,6 +53,9 @@ def carry_out(options: argparse.Namespace) -> int:
     row = pick(record, options.pick)
     if not 0 <= options.seed < 2**63:
         raise UserError(f"--seed {options.seed}: choose a whole number from 0 to 2^63 - 1")
+    refuse_others("strategy", options.strategy, FIT_STRATEGIES)
+    if options.manipulation is not None:
+        refuse_others("manipulation", options.manipulation, FIT_MANIPULATIONS)
 
     import torch  # takes seconds: only once the run and the pick are known to exist
 
@@ -87,9 +79,7 @@ def carry_out(options: argparse.Namespace) -> int:
         out = options.out or options.run / (
             f"fit-{options.pick.strip().replace(':', '-')}-{manipulation}-{options.strategy}-seed{options.seed}"
         )
-        from rbfevo.storage import refuse_results
-
-        refuse_results(out, results.RESULTS, "--out")
+        refuse_held(out, results.RESULTS, "--out")
         centers = torch.from_numpy(record.centers[row])
         say(f"{options.pick}: row {row} of {options.run}, {manipulation} manipulation, {options.strategy} strategy")
         start = time.perf_counter()
@@ -199,4 +189,4 @@ def closing(summary: dict[str, Any], out: Path) -> list[str]:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    commands.start(main)

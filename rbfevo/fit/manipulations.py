@@ -7,13 +7,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from rbfevo.choices import FIT_MANIPULATIONS as MANIPULATIONS
+from rbfevo.choices import refuse_others
 from rbfevo.deformation import RBFDeformation
 from rbfevo.errors import UserError
 from rbfevo.evolvability import evolvability, singular
 from rbfevo.kernels import Kernel, distances
 from rbfevo.scenarios.scenario import Scenario
-
-MANIPULATIONS = ("indirect", "direct", "orthogonalized")
 
 
 class Deformation(NamedTuple):
@@ -50,10 +50,7 @@ def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulatio
         UserError: for another manipulation, centers that do not fit the design or are not finite, a numerically
             rank-deficient Phi, and, if direct, a numerically singular Psi.
     """
-    if manipulation not in MANIPULATIONS:
-        raise UserError(
-            f"manipulation={manipulation}: there is no such manipulation; choose one of {', '.join(MANIPULATIONS)}"
-        )
+    refuse_others("manipulation", manipulation, MANIPULATIONS)
     if scenario.mirror is not None:
         raise UserError("a fit moves centers one by one, which would break the symmetry of this run's setups")
     n, d = scenario.vertices.shape

@@ -14,6 +14,7 @@ from yaml import YAMLError
 from rbfevo.config import build, check
 from rbfevo.errors import UserError
 from rbfevo.kernels import Kernel
+from rbfevo.names import existing_home, literal
 from rbfevo.record import Record
 from rbfevo.scenarios.scenario import Scenario
 
@@ -42,10 +43,10 @@ def rebuild(run: Path, record: Record) -> Source:
     config = _load(run / ".hydra" / "config.yaml")
     for name in FILES:
         path = OmegaConf.select(config, f"scenario.{name}")
-        if isinstance(path, str) and not Path(path).expanduser().exists() and (run / ".hydra" / "hydra.yaml").exists():
-            before = OmegaConf.select(_load(run / ".hydra" / "hydra.yaml"), "hydra.runtime.cwd")
-            if before and (Path(before) / path).exists():
-                config.scenario[name] = str(Path(before) / path)
+        if isinstance(path, str) and not existing_home(path).exists() and (run / ".hydra" / "hydra.yaml").exists():
+            before = _began_in(run)
+            if before is not None and (before / path).exists():
+                config.scenario[name] = literal(str(before / path))
     try:
         settings = check(config)
         scenario = build(settings.scenario)
@@ -67,6 +68,14 @@ def rebuild(run: Path, record: Record) -> Source:
                 "(has the scan changed?); make a new run"
             )
     return Source(scenario, kernel, settings.manipulation)
+
+
+def _began_in(run: Path) -> Path | None:
+    """The directory that a run was started from, which Hydra writes as it is, whatever it looks like."""
+    runtime = OmegaConf.select(_load(run / ".hydra" / "hydra.yaml"), "hydra.runtime")
+    told = OmegaConf.to_container(runtime, resolve=False) if isinstance(runtime, DictConfig) else {}
+    before = told.get("cwd") if isinstance(told, dict) else None
+    return Path(before) if isinstance(before, str) else None
 
 
 def _load(path: Path) -> DictConfig:

@@ -12,6 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from rbfevo.choices import FIT_STRATEGIES as STRATEGIES
+from rbfevo.choices import refuse_others
 from rbfevo.errors import UserError
 from rbfevo.fit.manipulations import deformation
 from rbfevo.fit.objective import Objective, Optimum, Pairs
@@ -19,7 +21,6 @@ from rbfevo.kernels import Kernel
 from rbfevo.methods.cmaes import CMAES
 from rbfevo.scenarios.scenario import Scenario
 
-STRATEGIES = ("isotropic", "cmaes")
 FIRST_STEP = 0.3  # of the wanted displacement: what a first offspring moves the design by, about
 
 
@@ -249,8 +250,7 @@ def _checked(
     d = scenario.vertices.shape[1]
     if centers.ndim != 3 or centers.shape[2] != d:
         raise UserError(f"centers must have shape [B, m, {d}], not {list(centers.shape)}")
-    if strategy not in STRATEGIES:
-        raise UserError(f"strategy={strategy}: there is no such strategy; choose one of {', '.join(STRATEGIES)}")
+    refuse_others("strategy", strategy, STRATEGIES)
     if generations < 0:
         raise UserError(f"generations={generations}: at least 0 is needed")
     if not (math.isfinite(within) and within >= 0):

@@ -31,8 +31,8 @@ class GradientSearch(Method):
     two teams that go on for R and for P alone.
 
     Args:
-        starts: setups that climb in the first round; for preferences `population` of them.
-        population: setups that climb in later rounds; at least 16, at most `starts`.
+        starts: setups that climb in the first round; not used for preferences.
+        population: setups that climb in later rounds, at least 16 and at most `starts`; for preferences in all of them.
         generations: on the coarse design.
         polish: generations on all vertices.
         front: setups of the front that are returned; at least 2.
@@ -41,6 +41,7 @@ class GradientSearch(Method):
     """
 
     name = "gradient"
+    prefers = True
 
     def __init__(
         self,
@@ -60,14 +61,17 @@ class GradientSearch(Method):
         self.polish = at_least_one("gradient: polish", polish)
         self.memory = at_least_one("gradient: memory", memory)
         self.steps = self.generations + self.polish
-        if starts < population:
-            raise UserError(f"gradient: starts={starts}: at least population={population} is needed")
-        self.starts = self.initial = starts
+        self.starts = at_least_one("gradient: starts", starts)
         self.population = population
+        self.initial = max(starts, population)  # of which each has a random setup of its own to start at
         self.front, self.coarse = front, coarse
         first = max(1, round(FIRST_ROUND * self.generations))
         later = (self.generations - first) / (ROUNDS - 1)
         self._ends = sorted({first + round(i * later) for i in range(ROUNDS)})
+
+    def check(self, preferences: tuple[float, ...] | None) -> None:
+        if preferences is None and self.starts < self.population:
+            raise UserError(f"gradient: starts={self.starts}: at least population={self.population} is needed")
 
     def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
         if preferences is None:
@@ -76,6 +80,7 @@ class GradientSearch(Method):
         return len(preferences) * (self.generations * each + self.polish * (each // 4))
 
     def start(self, problem: Problem) -> None:
+        self.check(problem.preferences)
         self._fine, self._problem = problem, problem.coarsened(self.coarse)
         self._side = problem.upper - problem.lower
         self._step, self._sharpness, self._renew = 0, SHARPNESS, True

@@ -87,6 +87,7 @@ class CmaesSearch(Method):
     """
 
     name = "cmaes"
+    prefers = True
 
     def __init__(self, parents: int = 25, population: int = 100, generations: int = 300, sigma: float = 0.05) -> None:
         self.steps = at_least_one(f"{self.name}: generations", generations)

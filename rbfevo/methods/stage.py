@@ -92,11 +92,20 @@ class Method(abc.ABC):
         name: as on the command line.
         steps: generations of a search; 1 for a heuristic.
         initial: setups of the run's initial population that the method starts from.
+        prefers: whether what it finds depends on the preferences asked for.
     """
 
     name: str
     steps: int = 1
     initial: int = 0
+    prefers: bool = False
+
+    def check(self, preferences: tuple[float, ...] | None) -> None:  # noqa: B027 - most have nothing to refuse
+        """Refuse settings that do not fit the preferences asked for.
+
+        Raises:
+            UserError: naming the setting and what it has to be.
+        """
 
     @abc.abstractmethod
     def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:

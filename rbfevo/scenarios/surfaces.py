@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rbfevo.errors import UserError
+from rbfevo.names import existing_home
 from rbfevo.scenarios import cells, separate, trimesh_files
 from rbfevo.scenarios.contents import Contents, Points, Triangles
 from rbfevo.scenarios.tables import read_table
@@ -29,7 +30,7 @@ def read_surface(path: str | Path) -> tuple[Points, Triangles | None]:
     Raises:
         UserError: if the file is missing, unreadable, of an unknown ending, or holds no usable surface or cloud.
     """
-    path = Path(path).expanduser()
+    path = existing_home(path)
     contents = read_contents(path)
     _check(path, contents.points, contents.triangles)
     return contents.points, contents.triangles

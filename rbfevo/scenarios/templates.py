@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbfevo.errors import UserError
+from rbfevo.names import existing_home
 from rbfevo.scenarios.contents import Points, Triangles
 from rbfevo.scenarios.surfaces import checked_extent, read_contents
 
@@ -49,7 +50,7 @@ def read_template(path: str | Path) -> Template:
         UserError: if the file is missing, unreadable, of an unknown ending, or holds no usable surface: a cloud, a
             volume mesh, or faces without area or with coordinates that are not finite.
     """
-    path = Path(path).expanduser()
+    path = existing_home(path)
     contents = read_contents(path)
     points, triangles, notes = contents.points, contents.triangles, dict(contents.notes)
     if triangles is None:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbfevo.errors import UserError
+from rbfevo.names import existing_home
 from rbfevo.scenarios.tables import Table, read_table
 from rbfevo.scenarios.templates import Template
 
@@ -51,7 +52,7 @@ def vertex_array(source: str, template: Template, what: str) -> Array:
 
 
 def _file(source: str, template: Template) -> Path:
-    path = Path(source).expanduser()
+    path = existing_home(source)
     ending = path.suffix.lower()
     try:
         there = path.is_file()
