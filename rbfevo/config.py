@@ -191,6 +191,8 @@ def typed(values: dict[str, Any], schema: Any, path: str) -> Any:
         raise UserError(f"{path}{error.key}: there is no such key; there are {there}") from error
     except OmegaConfBaseException as error:
         key = re.split(r"[.\[]", str(error.full_key or error.key))[0]
+        if key not in values:
+            raise UserError(f"{path}{key}: this key is missing") from error
         kinds = {field.name: field.type for field in dataclasses.fields(schema)}
         raise UserError(f"{path}{key}={values[key]}: {in_words(kinds[key])} is expected") from error
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor, nn
 
 from rbfevo.choices import MANIPULATIONS, refuse_others
 from rbfevo.kernels import Kernel
+from rbfevo.matrices import solve
 from rbfevo.mirror import Image, values
 
 
@@ -54,6 +54,6 @@ class RBFDeformation(nn.Module):
         phi = self.phi(centers)
         if self.manipulation == "indirect":
             return phi
-        # U Psi = Phi; solve_ex does not raise for a batch in which one Psi is singular.
-        solution, _ = torch.linalg.solve_ex(self.psi(centers).mT, phi.mT)
-        return solution.mT
+        n, m = phi.shape[-2:]
+        solution = solve(self.psi(centers).reshape(-1, m, m), phi.reshape(-1, n, m).mT)  # U Psi = Phi, Psi = Psi^T
+        return solution.mT.reshape(phi.shape)

@@ -18,8 +18,9 @@ from rbfevo.errors import UserError
 from rbfevo.evolvability import EPS, Scores, cutoff, score, singular
 from rbfevo.gram import GramAccumulator
 from rbfevo.kernels import Kernel
+from rbfevo.matrices import cholesky, left_singular, product, singular_values, solve, solve_lower
 from rbfevo.mirror import Image
-from rbfevo.threads import run_in_slices
+from rbfevo.threads import coarse
 
 TRIGGER = 3e-5  # below this R(Phi), G has lost too many digits: eps / TRIGGER^2 is 2e-7
 QR_ROWS = 4096
@@ -110,6 +111,7 @@ class Evaluator:
         return Scores(*(column.to(centers.device) for column in scores))
 
     @torch.no_grad()
+    @coarse()
     def __call__(self, centers: Tensor) -> Scores:
         """Scores [*pop] of centers [*pop, m, d]; regularity, improvement potential and variability are maximized.
 
@@ -146,7 +148,7 @@ class Evaluator:
         G, b = M[:, :m, :m], M[:, :m, m:]
         G, empty = decoupled(G)
         L, sound = cholesky(G)
-        y = torch.linalg.solve_triangular(L, b, upper=False)
+        y = solve_lower(L, b)
         potential = y.square().sum((1, 2))
         rank = m - empty.sum(1)
         deficient = torch.zeros_like(usable)
@@ -193,8 +195,7 @@ class Evaluator:
         m = setups.shape[1]
         Psi = self.deformation.psi(setups)
         identity = torch.eye(m, dtype=Psi.dtype, device=Psi.device)
-        LU, pivots, _ = torch.linalg.lu_factor_ex(Psi)
-        solution = torch.linalg.lu_solve(LU, pivots, torch.cat((L, identity.expand_as(L)), dim=2))  # Psi = Psi^T
+        solution = solve(Psi, torch.cat((L, identity.expand_as(L)), dim=2))  # Psi = Psi^T
         lost = singular(Psi, solution[:, :, m:]) | ~torch.isfinite(solution).flatten(1).all(1)
         solution = torch.where(lost[:, None, None], torch.cat((identity, identity), dim=1), solution)
         return solution[:, :, :m], solution[:, :, m:], lost
@@ -218,8 +219,8 @@ class Evaluator:
             L2, sound = cholesky(M[:, :m, :m] + torch.diag_embed(empty[pending].to(M.dtype)))
             sigma = singular_values(L2)
             done = sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0])
-            T[pending] = torch.where(sound[:, None, None], T[pending] @ L2, T[pending])
-            y[pending] = torch.linalg.solve_triangular(L2, M[:, :m, m:], upper=False)
+            T[pending] = torch.where(sound[:, None, None], product(T[pending], L2), T[pending])
+            y[pending] = solve_lower(L2, M[:, :m, m:])
             lost.append(pending[~sound])
             pending = pending[sound & ~done]
             if not len(pending):
@@ -247,9 +248,9 @@ class Evaluator:
                 Phi = self.deformation.columns(vertices[rows], setups[e])
                 block = roots[rows] * torch.cat((Phi, self.gradient[rows]), dim=1)
                 R[e] = torch.linalg.qr(torch.cat((R[e], block)), mode="r")[1]
-        left, sigma, _ = torch.linalg.svd(R[:, :m, :m])
+        left, sigma = left_singular(R[:, :m, :m])
         kept = sigma > cutoff(n, m) * sigma[:, :1]
-        potential = torch.where(kept[:, :, None], left.mT @ R[:, :m, m:], 0.0).square().sum((1, 2))
+        potential = torch.where(kept[:, :, None], product(left.mT, R[:, :m, m:]), 0.0).square().sum((1, 2))
         return R[:, :m, :m].mT, potential, kept.sum(1)
 
 
@@ -264,28 +265,8 @@ def decoupled(G: Tensor) -> tuple[Tensor, Tensor]:
     return G + torch.diag_embed(torch.where(empty, largest.where(largest > 0, 1.0), 0.0)), empty
 
 
-def cholesky(G: Tensor) -> tuple[Tensor, Tensor]:
-    """Lower factors [p, m, m], the identity where there is none, and whether there is one [p]; never raises."""
-    L, info = torch.linalg.cholesky_ex(G)
-    sound = (info == 0) & torch.isfinite(L).flatten(1).all(1)
-    return torch.where(sound[:, None, None], L, torch.eye(G.shape[-1], dtype=G.dtype, device=G.device)), sound
-
-
 def least_regularity(L: Tensor) -> Tensor:
     """A lower bound [p] of sigma_min/sigma_max of triangular L [p, m, m], at most m too small: 1 / (|L| |L^-1|)."""
     identity = torch.eye(L.shape[-1], dtype=L.dtype, device=L.device)
-    inverse = torch.linalg.solve_triangular(L, identity.expand_as(L), upper=False)
+    inverse = solve_lower(L, identity.expand_as(L))
     return 1.0 / (L.flatten(1).norm(dim=1) * inverse.flatten(1).norm(dim=1))
-
-
-def singular_values(A: Tensor) -> Tensor:
-    """Singular values [p, m], falling, of finite A [p, m, m]; LAPACK takes one at a time, so threads share them."""
-    if A.is_cuda:
-        return torch.linalg.svdvals(A)
-    out = torch.empty_like(A[..., 0])
-
-    def work(begin: int, end: int) -> None:
-        out[begin:end] = torch.linalg.svdvals(A[begin:end])
-
-    run_in_slices(work, len(A))
-    return out

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from rbfevo.deformation import RBFDeformation
-from rbfevo.threads import run_in_slices
+from rbfevo.threads import coarse, run_in_slices
 
 EPS = torch.finfo(torch.float64).eps
 
@@ -70,11 +70,16 @@ def projection(U: Tensor, gradient: Tensor, weights: Tensor | None = None) -> tu
     n, m = U.shape[-2:]
     if weights is not None:
         U, gradient = weights.sqrt()[:, None] * U, weights.sqrt()[:, None] * gradient
-    left, sigma, _ = torch.linalg.svd(U, full_matrices=False)
-    kept = sigma > cutoff(n, m) * sigma[..., :1]
-    # U U^+ g = left left^T g over the singular values that count; the residual is formed before it is squared.
-    coordinates = torch.where(kept[..., None], left.mT @ gradient, 0.0)
-    return sigma, kept, (gradient - left @ coordinates).square().sum((-2, -1))
+    if U.ndim > 2:  # one at a time: in a batch LAPACK may round by where a matrix lies
+        found = [projection(one, gradient) for one in U.reshape(-1, n, m)]
+        sigma, kept, rest = (torch.stack(part) for part in zip(*found, strict=True))
+        return sigma.reshape(*U.shape[:-2], -1), kept.reshape(*U.shape[:-2], -1), rest.reshape(U.shape[:-2])
+    with coarse():
+        left, sigma, _ = torch.linalg.svd(U, full_matrices=False)
+        kept = sigma > cutoff(n, m) * sigma[:1]
+        # U U^+ g = left left^T g over the singular values that count; the residual is formed before it is squared.
+        coordinates = torch.where(kept[:, None], left.mT @ gradient, 0.0)
+        return sigma, kept, (gradient - left @ coordinates).square().sum()
 
 
 def singular(Psi: Tensor, inverse: Tensor) -> Tensor:

@@ -16,7 +16,8 @@ from torch import Tensor
 from rbfevo.deformation import RBFDeformation
 from rbfevo.evaluator import Evaluator
 from rbfevo.kernels import distances
-from rbfevo.threads import run_in_slices
+from rbfevo.matrices import gram, left_singular, product, solve_lower
+from rbfevo.threads import coarse
 
 
 class Spectrum:
@@ -29,6 +30,7 @@ class Spectrum:
     """
 
     @torch.no_grad()
+    @coarse()
     def __init__(self, evaluator: Evaluator, centers: Tensor) -> None:
         """Take centers [p, m, d]; any values."""
         finite = torch.isfinite(centers).flatten(1).all(1)
@@ -46,7 +48,7 @@ class Spectrum:
             T, self._inverse, lost = evaluator.direct(self.centers, T)
             self.regular &= ~lost
         identity = torch.eye(m, dtype=T.dtype, device=T.device)
-        self._V, self.sigma = _left_singular(torch.where(self.regular[:, None, None], T, identity))
+        self._V, self.sigma = left_singular(torch.where(self.regular[:, None, None], T, identity))
 
     @property
     def regularity(self) -> Tensor:
@@ -54,6 +56,7 @@ class Spectrum:
         return torch.where(self.regular, self.sigma[:, -1] / self.sigma[:, 0], 0.0)
 
     @torch.no_grad()
+    @coarse()
     def backward(self, dlog_sigma: Tensor, dpotential: Tensor) -> Tensor:
         """Gradient [p, m, d] in the centers of a function with gradients [p, m] in log sigma and [p] in P.
 
@@ -63,14 +66,15 @@ class Spectrum:
         self.evaluator.gradients += len(self.centers)
         dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
         dpotential = torch.where(self.improvable, dpotential, 0.0)[:, None, None]
-        w = torch.linalg.solve_triangular(self._T.mT, self._y, upper=True)
-        Z = self._V if self._inverse is None else self._inverse @ self._V
+        w = solve_lower(self._T, self._y, transposed=True)
+        Z = self._V if self._inverse is None else product(self._inverse, self._V)
         dM = torch.zeros(len(Z), m + k, m + k, dtype=Z.dtype, device=Z.device)
-        dM[:, :m, :m] = 0.5 * (Z * (dlog_sigma / self.sigma.square())[:, None, :]) @ Z.mT - dpotential * (w @ w.mT)
+        scaled = 0.5 * Z * (dlog_sigma / self.sigma.square())[:, None, :]
+        dM[:, :m, :m] = product(scaled, Z.mT) - dpotential * gram(w)
         dM[:, :m, m:] = 2.0 * dpotential * w
         gradient = self.evaluator.gram.backward(self.centers, dM)
         if self._inverse is not None:
-            dPsi = -(self._V * dlog_sigma[:, None, :]) @ Z.mT
+            dPsi = -product(self._V * dlog_sigma[:, None, :], Z.mT)
             gradient += _psi_backward(self.evaluator.deformation, self.centers, dPsi + dPsi.mT)
         return torch.where(torch.isfinite(gradient).flatten(1).all(1)[:, None, None], gradient, 0.0)
 
@@ -78,26 +82,13 @@ class Spectrum:
 def _psi_backward(deformation: RBFDeformation, C: Tensor, S: Tensor) -> Tensor:
     """Gradient [p, m, d] in the centers C [p, m, d] of a function of Psi whose gradient, plus its transpose, is S."""
     H = S * deformation.kernel.slope(distances(C, C))
-    gradient = H.sum(2, keepdim=True) * C - H @ C
+    gradient = H.sum(2, keepdim=True) * C - product(H, C)
     if deformation.image is not None:  # |c_j' - c_i| = |c_j - c_i'|: both centers of an entry are pulled alike
         mirror, sign = deformation.image
         images = mirror.image(C)
         H = sign * S * deformation.kernel.slope(distances(C, images))
-        gradient += H.sum(2, keepdim=True) * C - H @ images
+        gradient += H.sum(2, keepdim=True) * C - product(H, images)
     return gradient
-
-
-def _left_singular(A: Tensor) -> tuple[Tensor, Tensor]:
-    """Left singular vectors [p, m, m] and values [p, m], falling, of finite A [p, m, m]."""
-    if A.is_cuda:
-        return torch.linalg.svd(A)[:2]
-    vectors, values = torch.empty_like(A), torch.empty_like(A[..., 0])
-
-    def work(begin: int, end: int) -> None:
-        vectors[begin:end], values[begin:end] = torch.linalg.svd(A[begin:end])[:2]
-
-    run_in_slices(work, len(A))
-    return vectors, values
 
 
 class _Scores(torch.autograd.Function):

@@ -11,12 +11,14 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from rbfevo import matrices
 from rbfevo.blocks import VertexBlocks, vertex_blocks
 from rbfevo.choices import EVALUATORS, refuse_others
 from rbfevo.errors import UserError
 from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
+from rbfevo.matrices import product, solve_lower
 from rbfevo.mirror import Image, values
-from rbfevo.threads import run_in_slices
+from rbfevo.threads import coarse, run_in_slices
 
 FUSED_BLOCK = 1024  # m = 25 rows of 1024 float64 are 200 KiB: half of a usual second-level cache
 EAGER_BLOCK = {"cpu": 1024, "cuda": 8192}
@@ -73,6 +75,9 @@ class GramAccumulator:
         self.size = block or (FUSED_BLOCK if self.backend == "fused" else EAGER_BLOCK.get(device.type, 1024))
         self._bytes = torch.cuda.mem_get_info(device)[0] // GPU_SHARE if device.type == "cuda" else EAGER_BYTES
         self.blocks: VertexBlocks = vertex_blocks(vertices, gradient, weights, self.size)
+        with coarse():
+            gg = self.blocks.g @ self.blocks.g.T
+        self._gg = (gg + gg.T) / 2.0  # to the bit: some processors round the two halves differently
 
     def __call__(self, centers: Tensor, factor: Tensor | None = None) -> Tensor:
         """M [p, m+k, m+k] for finite centers [p, m, d] and, if given, factors T [p, m, m].
@@ -116,24 +121,21 @@ class GramAccumulator:
         return out
 
     def _backward_eager(self, centers: Tensor, dG: Tensor, db: Tensor) -> Tensor:
-        b = self.blocks
         out = torch.zeros_like(centers)
-        starts = b.starts.tolist()
 
         def work(first: int, last: int) -> None:
             for chunk in self._chunks(centers, first, last):
                 C = centers[chunk]
-                for begin, end in itertools.pairwise(starts):
-                    X, W = b.X[:, begin:end], b.W[begin:end]
+                for X, W, g in self._pieces:
                     r = distances(C, X.T)
                     rows = self.kernel(r) if self.image is None else values(self.kernel, C, X.T, self.image)
-                    H = dG[chunk] @ (rows * W) + db[chunk] @ b.g[:, begin:end]
+                    H = product(dG[chunk], rows * W) + product(db[chunk], g)
                     pull = H * self.kernel.slope(r) * W
-                    out[chunk] += pull.sum(2, keepdim=True) * C - pull @ X.T
+                    out[chunk] += pull.sum(2, keepdim=True) * C - product(pull, X.T)
                     if self.image is not None:
                         mirrored = self.image.mirror.image(C)
                         pull = H * self.kernel.slope(distances(mirrored, X.T)) * W
-                        through = self.image.sign * (pull.sum(2, keepdim=True) * mirrored - pull @ X.T)
+                        through = self.image.sign * (pull.sum(2, keepdim=True) * mirrored - product(pull, X.T))
                         through[..., self.image.mirror.axis].neg_()
                         out[chunk] += through
 
@@ -159,31 +161,32 @@ class GramAccumulator:
             fused.gram(C[begin:end], mirrored[begin:end], sign, *fixed, self.code, support, part, out[begin:end])
 
         run_in_slices(work, p)
-        M[:, m:, m:] = b.g @ b.g.T  # the kernel skips blocks that no center reaches
+        M[:, m:, m:] = self._gg  # the kernel skips blocks that no center reaches
         return M
 
     def _run_eager(self, centers: Tensor, factor: Tensor | None) -> Tensor:
         p, m, _ = centers.shape
-        b = self.blocks
-        k = b.g.shape[0]
+        k = self.blocks.g.shape[0]
         M = torch.zeros(p, m + k, m + k, dtype=centers.dtype, device=centers.device)
-        starts = b.starts.tolist()
 
         def work(first: int, last: int) -> None:
             for chunk in self._chunks(centers, first, last):
-                for begin, end in itertools.pairwise(starts):
-                    rows = values(self.kernel, centers[chunk], b.X[:, begin:end].T, self.image) * b.W[begin:end]
+                for X, W, g in self._pieces:
+                    rows = values(self.kernel, centers[chunk], X.T, self.image) * W
                     if factor is not None:
-                        rows = torch.linalg.solve_triangular(factor[chunk], rows, upper=False)
-                    rows = torch.cat((rows, b.g[:, begin:end].expand(len(rows), -1, -1)), dim=1)
-                    if rows.is_cuda:
-                        M[chunk].baddbmm_(rows, rows.mT)
-                        continue
-                    for target, row in zip(M[chunk], rows, strict=True):  # a batched product rounds by its size
-                        target.addmm_(row, row.mT)
+                        rows = solve_lower(factor[chunk], rows)
+                    rows = torch.cat((rows, g.expand(len(rows), -1, -1)), dim=1)
+                    M[chunk] += matrices.gram(rows)
 
         self._in_slices(work, p, centers)
         return M
+
+    @functools.cached_property
+    def _pieces(self) -> list[tuple[Tensor, Tensor, Tensor]]:
+        """X [d, size], W [size] and g [k, size] of each block, for the eager steps."""
+        b = self.blocks
+        cuts = itertools.pairwise(b.starts.tolist())
+        return [(b.X[:, begin:end], b.W[begin:end], b.g[:, begin:end]) for begin, end in cuts]
 
     def _images(self, centers: Tensor) -> tuple[Tensor, float, int]:
         """Mirror images of the centers, their sign, and the axis; the centers themselves and 0 where there are none."""

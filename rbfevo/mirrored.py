@@ -22,7 +22,7 @@ from rbfevo.gradients import Spectrum
 from rbfevo.kernels import Kernel
 from rbfevo.mirror import Image, Mirror
 from rbfevo.scenarios.scenario import Scenario
-from rbfevo.threads import run_in_slices
+from rbfevo.threads import coarse, run_in_slices
 
 
 class MirroredEvaluator(Evaluator):
@@ -146,6 +146,7 @@ class MirroredSpectrum(Spectrum):
     """
 
     @torch.no_grad()
+    @coarse()
     def __init__(self, evaluator: MirroredEvaluator, centers: Tensor) -> None:
         """Take centers [p, m, d]; any values."""
         finite = torch.isfinite(centers).flatten(1).all(1)
@@ -178,6 +179,7 @@ class MirroredSpectrum(Spectrum):
         return torch.where(self.regular, self.sigma.amin(1) / self.sigma.amax(1), 0.0)
 
     @torch.no_grad()
+    @coarse()
     def backward(self, dlog_sigma: Tensor, dpotential: Tensor) -> Tensor:
         """Gradient [p, m, d] in the centers of a function with gradients [p, 2m] in log sigma and [p] in P."""
         m = self.centers.shape[1]

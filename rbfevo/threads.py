@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
 _workers: int | None = None
+_entered = 0
+_entering = threading.Lock()
 
 
 @functools.cache
@@ -22,14 +25,14 @@ def run_in_slices(work: Callable[[int, int], None], count: int) -> None:
 
     Every element's result must not depend on the slice that it falls in.
     """
-    threads = torch.get_num_threads() if _workers is None else _workers
-    if threads == 1 or count <= 1:
-        work(0, count)
-        return
-    step = max(1, -(-count // (4 * threads)))
-    futures = [_pool(threads).submit(work, i, min(i + step, count)) for i in range(0, count, step)]
-    for future in futures:
-        future.result()
+    with coarse() as threads:
+        if threads == 1 or count <= 1:
+            work(0, count)
+            return
+        step = max(1, -(-count // (4 * threads)))
+        futures = [_pool(threads).submit(work, i, min(i + step, count)) for i in range(0, count, step)]
+        for future in futures:
+            future.result()
 
 
 @contextlib.contextmanager
@@ -37,14 +40,22 @@ def coarse() -> Iterator[int]:
     """Leave torch one thread for each operation and give the others to `run_in_slices`; yields their number.
 
     The operations of a generation are so small that waking threads for each of them costs more than it brings, and on
-    a busy machine many times more.
+    a busy machine many times more. And an operation that threads share may round by how it is cut between them: so
+    whatever has to be the same for any number of threads, and for any batch, runs inside. The first to enter, from
+    whatever thread, notes torch's number of threads, and the last to leave restores it.
     """
-    global _workers
-    before, threads = _workers, torch.get_num_threads()
-    _workers = threads
-    torch.set_num_threads(1)
+    global _entered, _workers
+    with _entering:
+        if not _entered:
+            _workers = torch.get_num_threads()
+            torch.set_num_threads(1)
+        _entered += 1
+        threads = _workers or 1
     try:
         yield threads
     finally:
-        _workers = before
-        torch.set_num_threads(threads)
+        with _entering:
+            _entered -= 1
+            if not _entered:
+                torch.set_num_threads(threads)
+                _workers = None

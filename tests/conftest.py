@@ -22,9 +22,9 @@ def pytest_configure() -> None:
 
 
 @pytest.fixture(autouse=True)
-def one_thread() -> None:
-    """Start every test with one thread, whatever the one before has set."""
-    torch.set_num_threads(1)
+def threads() -> None:
+    """Start every test with one thread, or with RBFEVO_TEST_THREADS, whatever the one before has set."""
+    torch.set_num_threads(int(os.environ.get("RBFEVO_TEST_THREADS", "1")))
 
 
 @pytest.fixture(scope="session")

@@ -539,8 +539,9 @@ def test_sigma_neither_overflows_nor_underflows() -> None:
     for search in (up, down):
         state = search.state_dict()
         assert all(bool(state[key].isfinite().all()) for key in ("m", "sigma", "C", "root", "p_sigma", "p_c"))
-    assert up.sigma.tolist() == [1e100, 1e100]
-    assert down.sigma.tolist() == [1e-100, 1e-100]
+    # At the limits; the last step may have led back by less than a factor of e, which hangs on the last bits.
+    assert all(1e99 < sigma <= 1e100 for sigma in up.sigma.tolist())
+    assert all(1e-100 <= sigma < 1e-99 for sigma in down.sigma.tolist())
 
 
 def test_noise_and_useless_coordinates_stay_within_the_box() -> None:

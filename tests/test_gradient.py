@@ -144,7 +144,7 @@ def test_stopped_early_it_returns_what_it_has() -> None:
     "change",
     [
         {"population": 15},
-        {"starts": 71},
+        {"starts": 0},
         {"front": 1},
         {"coarse": 99},
         {"generations": 0},
@@ -155,3 +155,10 @@ def test_stopped_early_it_returns_what_it_has() -> None:
 def test_settings_that_cannot_work_are_named(change: dict) -> None:
     with pytest.raises(UserError, match=f"gradient: {next(iter(change))}="):
         GradientSearch(**change)
+
+
+def test_fewer_starts_than_the_population_are_refused_only_where_starts_are_used() -> None:
+    search = GradientSearch(starts=71)  # the population is 72
+    with pytest.raises(UserError, match=r"gradient: starts=71: at least population=72 is needed"):
+        search.check(None)
+    search.check((0.0,))

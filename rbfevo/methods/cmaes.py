@@ -24,6 +24,8 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.matrices import eigh, product
+from rbfevo.threads import coarse
 
 CONDITION_LIMIT = 1e14  # of C
 STEP_RANGE = (1e-100, 1e100)  # of sigma, so that neither underflow nor overflow makes a NaN
@@ -211,6 +213,7 @@ class CMAES:
         """[B, D] the means of the search distributions, as points of the box."""
         return self.box.to_box(self._m)
 
+    @coarse()
     def ask(self) -> Tensor:
         """Draw the offspring of this generation: [B, lambda, D], inside the box (eq. 38-40).
 
@@ -223,10 +226,11 @@ class CMAES:
                 z[b].normal_(generator=generator)  # eq. 38
             else:
                 z[b] = torch.empty(z.shape[1:], dtype=z.dtype, device=generator.device).normal_(generator=generator)
-        y = z @ self._root if self._covariance else z  # eq. 39
+        y = product(z, self._root) if self._covariance else z  # eq. 39
         self._z, self._x = z, self.box.to_box(self._m[:, None] + self.sigma[:, None, None] * y)  # eq. 40
         return self._x.clone()
 
+    @coarse()
     def tell(self, fitness: Tensor) -> None:
         """Update every element from the fitness [B, lambda] of the last `ask`; maximized, NaN counts as worst.
 
@@ -247,9 +251,10 @@ class CMAES:
         self._keep_best(f, self._x, order[:, :1])
 
         z = self._z.take_along_dim(order[:, self._weighed, None], 1)  # the weighed offspring, best to worst
-        y = z @ self._root if self._covariance else z
+        y = product(z, self._root) if self._covariance else z
         mu = len(s.positive)
-        y_w, z_w = self._positive @ y[:, :mu], self._positive @ z[:, :mu]  # eq. 41; z_w = C^(-1/2) y_w
+        positive = self._positive[:, None]
+        y_w, z_w = ((positive * steps[:, :mu]).sum(1) for steps in (y, z))  # eq. 41; z_w = C^(-1/2) y_w
         m = self._m + self.sigma[:, None] * y_w  # eq. 42, c_m = 1 (eq. 54)
         gain = math.sqrt(s.c_sigma * (2 - s.c_sigma) * s.mu_eff)
         p_sigma = (1 - s.c_sigma) * self._p_sigma + gain * z_w  # eq. 43
@@ -283,7 +288,7 @@ class CMAES:
         total = sum(s.positive) + sum(s.negative)
         delta = (1 - h) * s.c_c * (2 - s.c_c)
         keep = 1 + s.c_1 * delta - s.c_1 - s.c_mu * total
-        rank_mu = (w[..., None] * y).mT @ y
+        rank_mu = product((w[..., None] * y).mT, y)
         C = keep[..., None] * self._C + s.c_1 * p_c[..., None] * p_c[:, None] + s.c_mu * rank_mu  # eq. 47
         self._p_c = torch.where(told, p_c, self._p_c)
         self._C = torch.where(told[..., None], C, self._C)
@@ -307,15 +312,15 @@ class CMAES:
         C = shrink[:, :, None] * C * shrink[:, None, :]
         sigma, p_c = sigma * common[:, 0], self._p_c * shrink
 
-        values, vectors = _eigh(C)
+        values, vectors = eigh(C)
         top = values[:, -1:]
         sound = sound & (top > 0)
         limited = torch.where(sound, torch.maximum(values, top / CONDITION_LIMIT), 1.0)
         scale = torch.where(sound & ((top < SCALE_RANGE[0]) | (top > SCALE_RANGE[1])), top, 1.0)
-        rebuilt = (vectors * limited[:, None]) @ vectors.mT
+        rebuilt = product(vectors * limited[:, None], vectors.mT)
         C = torch.where((limited == values).all(1)[:, None, None], C, rebuilt) / scale[..., None]
 
-        self._C, self._root = C, (vectors * (limited / scale).sqrt()[:, None]) @ vectors.mT
+        self._C, self._root = C, product(vectors * (limited / scale).sqrt()[:, None], vectors.mT)
         self._p_c = torch.where(sound, p_c / scale.sqrt(), 0.0)
         self._p_sigma = torch.where(sound, self._p_sigma, 0.0)
         self.sigma = (sigma * scale[:, 0].sqrt()).clamp(*STEP_RANGE)
@@ -363,17 +368,6 @@ class CMAES:
         self.generation = int(state["generation"])
         for generator, saved in zip(self._generators, state["generators"], strict=True):
             generator.set_state(saved.cpu())
-
-
-def _eigh(C: Tensor) -> tuple[Tensor, Tensor]:
-    """Eigenvalues [B, D], ascending, and eigenvectors [B, D, D]; zeros and I for an element where LAPACK fails."""
-    try:
-        return torch.linalg.eigh(C)
-    except torch.linalg.LinAlgError:  # pyright: ignore[reportPrivateImportUsage]
-        if len(C) == 1:
-            return C.new_zeros(C.shape[:2]), torch.eye(C.shape[1], dtype=C.dtype, device=C.device).expand_as(C)
-        values, vectors = zip(*(_eigh(single[None]) for single in C), strict=True)
-        return torch.cat(values), torch.cat(vectors)
 
 
 def _check(

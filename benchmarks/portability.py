@@ -1,0 +1,146 @@
+"""`scripts/portability`: the numerical tests, and the results of one seed, under simulated processors.
+
+Every line of the first table is one run of the numerical tests under a processor of `benchmarks.processors` and a
+number of threads. The second says how far apart the results of one seed are: scores of the same setups, and what whole
+searches end with. Written to benchmarks/portability.csv and benchmarks/spread.csv, unless in the short form.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+
+from benchmarks import spread
+from benchmarks.processors import PROCESSORS, SHORT, Processor, environment, missing
+
+ROOT = Path(__file__).parents[1]
+OUTPUT = ROOT / "benchmarks" / "portability.csv"
+TESTS = (
+    "matrices",
+    "kernels",
+    "deformation",
+    "evolvability",
+    "gram",
+    "evaluator",
+    "gradients",
+    "mirrored",
+    "tracing",
+    "parameterization",
+    "properties",
+    "pareto",
+    "coarse",
+    "plane",
+    "lbfgs",
+    "nsga2",
+    "cmaes",
+    "lloyd",
+    "ols",
+    "gradient",
+    "run",
+    "mesh_runs",
+    "resume",
+)
+FEW = ("matrices", "gram", "evaluator", "gradients", "mirrored", "cmaes")
+
+
+class Outcome(NamedTuple):
+    """One run of the tests; `note` names the first failures, or says why there was no run."""
+
+    processor: str
+    threads: int
+    torch: str
+    mkl: str
+    numba: str
+    passed: int
+    failed: int
+    seconds: float
+    note: str
+
+
+def tested(processor: Processor, threads: int, tests: Sequence[str], directory: Path) -> Outcome:
+    """Run the tests as on that processor."""
+    described = (processor.torch, "not Intel's" if processor.foreign else processor.mkl, processor.numba)
+    reason = missing(processor)
+    if reason:
+        return Outcome(processor.name, threads, *described, 0, 0, 0.0, f"not run: {reason}")
+    files = [f"tests/test_{name}.py" for name in tests]
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", "--tb=no", *files]
+    settings = {"OMP_NUM_THREADS": str(threads), "RBFEVO_TEST_THREADS": str(threads), "CUDA_VISIBLE_DEVICES": ""}
+    start = time.perf_counter()
+    done = subprocess.run(
+        command,
+        cwd=ROOT,
+        env=os.environ | settings | environment(processor, directory),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    seconds = time.perf_counter() - start
+    counts = {kind: int(count) for count, kind in re.findall(r"(\d+) (passed|failed|error)", done.stdout[-500:])}
+    failures = re.findall(r"^(?:FAILED|ERROR) (?:tests/)?(\S+)", done.stdout, re.MULTILINE)
+    note = ", ".join(failures[:3])
+    if done.returncode not in (0, 1) or not counts.get("passed"):
+        note = " ".join((done.stdout + done.stderr).split())[-200:] or f"exit code {done.returncode}"
+    failed = counts.get("failed", 0) + counts.get("error", 0) + (done.returncode not in (0, 1))
+    return Outcome(processor.name, threads, *described, counts.get("passed", 0), failed, round(seconds, 1), note)
+
+
+def written(path: Path, rows: Sequence[NamedTuple]) -> None:
+    """Write rows of one kind as CSV."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(rows[0]._fields)
+        writer.writerows(rows)
+
+
+def main() -> int:
+    """Print both tables; 1 if a test failed."""
+    parser = argparse.ArgumentParser(prog="scripts/portability", description=(__doc__ or "").partition("\n\n")[2])
+    parser.add_argument(
+        "--short", action="store_true", help="three processors, one thread, the tests of small matrices"
+    )
+    parser.add_argument("--only", metavar="NAME", action="append", help="of the processors, those whose name has NAME")
+    parser.add_argument("--threads", type=int, nargs="+", help="numbers of threads (1 2)")
+    parser.add_argument("--no-spread", action="store_true", help="the tests alone")
+    arguments = parser.parse_args()
+    chosen = [p for p in PROCESSORS if not arguments.short or p.name in SHORT]
+    chosen = [p for p in chosen if arguments.only is None or any(name in p.name for name in arguments.only)]
+    if not chosen:
+        parser.error(f"--only: there are {', '.join(p.name for p in PROCESSORS)}")
+    threads = arguments.threads or ([1] if arguments.short else [1, 2])
+    whole = len(chosen) == len(PROCESSORS) and not arguments.threads
+    print(f"this processor: {torch.backends.cpu.get_cpu_capability()}; torch {torch.__version__}", flush=True)
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory(prefix="rbfevo-portability-") as name:
+        directory = Path(name)
+        print(f"{'processor':26} threads  passed  failed  seconds")
+        for processor in chosen:
+            for count in threads:
+                outcome = tested(processor, count, FEW if arguments.short else TESTS, directory)
+                outcomes.append(outcome)
+                numbers = f"{outcome.passed:7}  {outcome.failed:6}  {outcome.seconds:7.1f}"
+                print(f"{outcome.processor:26} {count:7}  {numbers}  {outcome.note}", flush=True)
+        if whole:
+            written(OUTPUT, outcomes)
+        if not (arguments.short or arguments.no_spread):
+            lines = spread.measured([p for p in chosen if not missing(p)], directory)
+            print("\n" + spread.table(lines), flush=True)
+            if whole:
+                written(spread.OUTPUT, lines)
+    ran = [outcome for outcome in outcomes if not outcome.note.startswith("not run")]
+    return int(not ran or any(outcome.failed for outcome in ran))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,97 @@
+"""Other processors than this one, as far as settings can simulate them: instruction sets, and how MKL chooses its code.
+
+PyTorch's own loops obey ATEN_CPU_CAPABILITY, numba's machine code NUMBA_CPU_NAME, MKL MKL_ENABLE_INSTRUCTIONS and
+MKL_CBWR. MKL takes other code paths on processors that are not Intel's, in which results depend on how an array is
+aligned; no setting asks for those, but a small library that is loaded first can answer in the place of MKL's own check.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+import shutil
+import subprocess
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+
+LEVELS = ("DEFAULT", "AVX2", "AVX512")  # as torch names what a processor can do, rising
+ANSWERS = "int mkl_serv_intel_cpu(void){return 0;} int mkl_serv_intel_cpu_true(void){return 0;}"
+CHECK = "mkl_serv_intel_cpu_true"
+
+
+class Processor(NamedTuple):
+    """A simulated processor.
+
+    Attributes:
+        name: for the table.
+        level: what the real processor must be able to do, one of `LEVELS`.
+        torch, mkl, numba: the values of ATEN_CPU_CAPABILITY, of one of MKL's settings, and of NUMBA_CPU_NAME; "" for
+            what the real processor would take.
+        foreign: whether MKL is to take it for another maker's.
+    """
+
+    name: str
+    level: str
+    torch: str
+    mkl: str
+    numba: str
+    foreign: bool = False
+
+
+PROCESSORS = (
+    Processor("this one", "DEFAULT", "", "", ""),
+    Processor("AVX-512", "AVX512", "avx512", "MKL_ENABLE_INSTRUCTIONS=AVX512", "x86-64-v4"),
+    Processor("AVX2", "AVX2", "avx2", "MKL_ENABLE_INSTRUCTIONS=AVX2", "x86-64-v3"),
+    Processor("AVX2, MKL reproducible", "AVX2", "avx2", "MKL_CBWR=AVX2", "x86-64-v3"),
+    Processor("SSE4.2", "DEFAULT", "default", "MKL_ENABLE_INSTRUCTIONS=SSE4_2", "x86-64-v2"),
+    Processor("oldest, MKL compatible", "DEFAULT", "default", "MKL_CBWR=COMPATIBLE", "x86-64-v2"),
+    Processor("AVX-512, MKL compatible", "AVX512", "avx512", "MKL_CBWR=COMPATIBLE", "x86-64-v4"),
+    Processor("another maker's, AVX2", "AVX2", "avx2", "", "x86-64-v3", foreign=True),
+    Processor("another maker's, AVX-512", "AVX512", "avx512", "", "x86-64-v4", foreign=True),
+)
+SHORT = ("AVX2, MKL reproducible", "oldest, MKL compatible", "another maker's, AVX2")
+
+
+def missing(processor: Processor) -> str:
+    """Why a processor cannot be simulated here; empty if it can be."""
+    if platform.machine() not in ("x86_64", "AMD64") and processor.name != "this one":
+        return f"this machine is {platform.machine()}"
+    real = torch.backends.cpu.get_cpu_capability()
+    if real in LEVELS and LEVELS.index(processor.level) > LEVELS.index(real):
+        return f"this processor has no {processor.level}"
+    if processor.foreign:
+        if shutil.which("cc") is None:
+            return "there is no C compiler"
+        try:
+            getattr(ctypes.CDLL(str(Path(torch.__file__).parent / "lib" / "libtorch_cpu.so")), CHECK)
+        except (OSError, AttributeError):
+            return "this torch has no MKL whose check could be answered for"
+    return ""
+
+
+def environment(processor: Processor, directory: Path) -> dict[str, str]:
+    """What to set for processes that are to run as on that processor; machine code is kept in `directory`.
+
+    Raises:
+        subprocess.CalledProcessError: if the C compiler fails.
+    """
+    slug = "".join(letter if letter.isalnum() else "-" for letter in processor.name)
+    found = {"NUMBA_CACHE_DIR": str(directory / "numba" / slug)}
+    if processor.torch:
+        found["ATEN_CPU_CAPABILITY"] = processor.torch
+    if processor.numba:
+        found["NUMBA_CPU_NAME"] = processor.numba
+        found["NUMBA_CPU_FEATURES"] = ""
+    if processor.mkl:
+        name, _, value = processor.mkl.partition("=")
+        found[name] = value
+    if processor.foreign:
+        library = directory / "foreign.so"
+        if not library.exists():
+            source = directory / "foreign.c"
+            source.write_text(ANSWERS + "\n")
+            subprocess.run(["cc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
+        found["LD_PRELOAD"] = str(library)
+    return found
