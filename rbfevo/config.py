@@ -93,7 +93,11 @@ def check_top(config: DictConfig) -> RunConfig:
     Raises:
         UserError: as `check`.
     """
-    values = OmegaConf.to_container(config, resolve=True)
+    try:
+        values = OmegaConf.to_container(config, resolve=True)
+    except OmegaConfBaseException as error:
+        what = (str(error).splitlines() or [type(error).__name__])[0]
+        raise UserError(f"{error.full_key}: {what}; a ${{ that stands for itself is written \\${{") from None
     top = typed(typing.cast(dict[str, Any], values), RunConfig, "")
     if top.centers < 1:
         raise UserError(f"centers={top.centers}: at least one center is needed")
@@ -184,6 +188,9 @@ def typed(values: dict[str, Any], schema: Any, path: str) -> Any:
     Raises:
         UserError: naming the key whose type does not fit, or that does not exist.
     """
+    for key, value in values.items():
+        if value == names.MISSING:
+            raise UserError(f"{path}{key}={value}: this stands for a value that is missing; give one")
     try:
         return OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), OmegaConf.create(_literal(values))))
     except ConfigKeyError as error:

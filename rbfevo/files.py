@@ -24,6 +24,16 @@ def refuse_held(directory: Path, files: Sequence[str], option: str) -> None:
         raise UserError(f"{directory} already holds results ({held[0]}): choose another {option}, or move them away")
 
 
+def refuse_missing(path: Path) -> None:
+    """Raise UserError if there is no such file; what else may be wrong with it, whoever reads it finds out."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        raise UserError(f"{path}: no such file") from None
+    except (OSError, ValueError):
+        pass
+
+
 def write_whole(path: Path, content: bytes) -> None:
     """Write a file so that it appears complete or not at all, even if the process dies meanwhile.
 

@@ -29,7 +29,7 @@ from rbfevo import commands, jobs, lock, names, overrides, resume, usage
 from rbfevo.config import CONF, ROOTS, RunConfig, check_top
 from rbfevo.directory import refuse_results
 from rbfevo.errors import UserError
-from rbfevo.files import write_whole
+from rbfevo.files import refuse_missing, write_whole
 
 HYDRA = ".hydra"
 
@@ -152,7 +152,14 @@ def single(config: DictConfig, resumed: bool) -> int:
 
 
 def _announce(top: RunConfig, hydras: Hydras) -> None:
-    """The first line of a run, before all that takes a while is imported."""
+    """The first line of a run, before all that takes a while is imported.
+
+    Raises:
+        UserError: if a file of the scenario is not there, which is the most usual mistake.
+    """
+    for key in names.FILES:
+        if isinstance(path := top.scenario.get(key), str):
+            refuse_missing(names.existing_home(path))
     if top.quiet:
         return
     chosen = [f"{group} {hydras.choices.get(group)}" for group in ("scenario", "kernel", "manipulation", "method")]
@@ -234,7 +241,7 @@ def launch(arguments: Sequence[str] | None = None) -> int:
             print(usage.text(words, CONF), flush=True)
             return 0
         run, others = resume.split(words)
-        overrides.look_over(others)
+        overrides.look_over(others, CONF)
         with lock.locked(run) if run is not None else _held(others):
             if names.is_sweep(words):
                 return _sweep(others)

@@ -31,7 +31,8 @@ from rbfevo.errors import UserError
 
 DIRECTORIES = ("hydra.run.dir", "hydra.sweep.dir")
 LISTED = "scenario.fixed"  # a name, or the six numbers of a box
-KEYS = (*DIRECTORIES, *(f"scenario.{name}" for name in ("template", "target", "sensitivity", "fixed", "scan")))
+FILES = ("template", "target", "scan")  # of a scenario
+KEYS = (*DIRECTORIES, *(f"scenario.{name}" for name in (*FILES, "sensitivity", "fixed")))
 SWEEP = ("-m", "--multirun")
 MISSING = "???"  # what stands for a missing value, to OmegaConf
 

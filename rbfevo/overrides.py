@@ -22,16 +22,20 @@ from rbfevo.directory import refuse_results
 from rbfevo.errors import UserError
 
 
-def look_over(words: Sequence[str]) -> None:
+def look_over(words: Sequence[str], conf: Path) -> None:
     """Refuse what Hydra would stumble over or do harm with, before it starts.
 
-    That is a word without a key, and `hydra.run.dir=DIR` where DIR holds results: Hydra would overwrite `.hydra/`.
+    That is a word without a key, a group without an option of its own, a directory that Hydra cannot note, and
+    `hydra.run.dir=DIR` where DIR holds results: Hydra would overwrite `.hydra/`.
 
     Raises:
         UserError: naming the word or the directory.
     """
     for before, word in itertools.pairwise(["", *words]):
-        key, equals, _ = word.partition("=")
+        key, equals, value = word.partition("=")
+        if equals and (value.lower() == "null" or value[:1] in ("[", "{")) and (conf / key).is_dir():
+            there = ", ".join(sorted(path.stem for path in (conf / key).glob("*.yaml")))
+            raise UserError(f"{word}: choose one of {there}, or leave it out")
         option = word.startswith(("-", "~")) or (before.startswith("-") and before not in names.SWEEP)
         if not key.strip("+~ ") or not (equals or option):
             raise UserError(f"{word or 'an empty word'}: a setting is written key=value")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rbfevo.errors import UserError
+from rbfevo.files import refuse_missing
 from rbfevo.names import existing_home
 from rbfevo.scenarios import cells, separate, trimesh_files
 from rbfevo.scenarios.contents import Contents, Points, Triangles
@@ -42,14 +43,13 @@ def read_contents(path: Path) -> Contents:
     Raises:
         UserError: if the file is missing, unreadable, of an unknown ending, or holds a volume mesh.
     """
+    refuse_missing(path)
     if path.is_dir():
         raise UserError(f"{path}: is a directory, not a mesh or scan; give a file ({_listed(ENDINGS)})")
     ending = _ending(path)
     try:
         blank = _is_blank(path)
         content = b"" if ending not in trimesh_files.ENDINGS + _TABLES else path.read_bytes()
-    except FileNotFoundError:
-        raise UserError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:
         raise UserError(f"{path}: cannot be read ({_first_line(error)})") from None
     if blank:
