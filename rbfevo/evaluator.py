@@ -16,6 +16,7 @@ from torch import Tensor
 from rbfevo.deformation import RBFDeformation
 from rbfevo.errors import UserError
 from rbfevo.evolvability import EPS, Scores, cutoff, score, singular
+from rbfevo.gradients import Spectrum
 from rbfevo.gram import GramAccumulator
 from rbfevo.kernels import Kernel
 from rbfevo.matrices import cholesky, left_singular, product, singular_values, solve, solve_lower
@@ -138,6 +139,10 @@ class Evaluator:
         columns = (torch.where(failed, zero, c) for c in (regularity, potential.clamp(0.0, 1.0), variability))
         regularity, potential, variability = (c.reshape(centers.shape[:-2]) for c in columns)
         return Scores(regularity, potential, variability, failed.reshape(centers.shape[:-2]))
+
+    def spectrum(self, centers: Tensor) -> Spectrum:
+        """Singular values of U and P of centers [p, m, d], ready for gradients."""
+        return Spectrum(self, centers)
 
     def factors(self, setups: Tensor, finite: Tensor) -> Factors:
         """Triangular factors of finite setups [p, m, d]; those that are not usable get an identity."""

@@ -8,16 +8,18 @@ gradients stay as accurate as the scores.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from rbfevo.deformation import RBFDeformation
-from rbfevo.evaluator import Evaluator
 from rbfevo.kernels import distances
 from rbfevo.matrices import gram, left_singular, product, solve_lower
 from rbfevo.threads import coarse
+
+if TYPE_CHECKING:
+    from rbfevo.evaluator import Evaluator  # which makes these spectra
 
 
 class Spectrum:
@@ -96,15 +98,16 @@ class _Scores(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, centers: Tensor, evaluator: Evaluator) -> tuple[Tensor, Tensor]:
-        ctx.spectrum = Spectrum(evaluator, centers)
+        ctx.spectrum = evaluator.spectrum(centers)
         return ctx.spectrum.regularity, ctx.spectrum.potential
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
         spectrum: Spectrum = ctx.spectrum
-        dlog_sigma = torch.zeros_like(spectrum.sigma)
-        dlog_sigma[:, -1] += grads[0] * spectrum.regularity
-        dlog_sigma[:, 0] -= grads[0] * spectrum.regularity
+        sigma, slope = spectrum.sigma, (grads[0] * spectrum.regularity)[:, None]
+        dlog_sigma = torch.zeros_like(sigma)
+        dlog_sigma.scatter_add_(1, sigma.argmin(1, keepdim=True), slope)  # sigma may come in no order
+        dlog_sigma.scatter_add_(1, sigma.argmax(1, keepdim=True), -slope)
         return spectrum.backward(dlog_sigma, grads[1]), None
 
 

@@ -13,13 +13,14 @@ import uuid
 from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, NoReturn, cast
 
 # Hydra prints several lines and exits with 1 for its own errors unless it is told to raise them.
 os.environ["HYDRA_FULL_ERROR"] = "1"
 
 import hydra
 import hydra.errors
+from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import setup_globals
 from omegaconf import DictConfig, OmegaConf
@@ -253,24 +254,42 @@ def launch(arguments: Sequence[str] | None = None) -> int:
                 code = single(config, run is not None)
 
             with contextlib.chdir(Path.cwd() if run is None else resume.began_in(run)):
-                _hydra(task, [*others, "hydra.output_subdir=null"])  # .hydra/ is written when the lock is held
+                _hydra(task, others)
             return code
     except (hydra.errors.HydraException, OmegaConfBaseException, OSError) as error:
         raise UserError(overrides.explain(error, words, CONF)) from None
 
 
 def _hydra(task: Callable[[DictConfig], None], words: Sequence[str]) -> None:
-    """Let Hydra compose the configuration and start the task, or each job of a sweep with it."""
-    mode = "MULTIRUN" if names.is_sweep(words) else "RUN"
+    """Let Hydra compose the configuration and start the task, or each job of a sweep with it.
+
+    It writes no `.hydra/` itself: that is written when the lock is held.
+
+    Raises:
+        UserError: for an option that Hydra does not have.
+    """
+    mode, none = "MULTIRUN" if names.is_sweep(words) else "RUN", "hydra.output_subdir=null"
     settings = [word for word in words if word not in names.SWEEP]
     if any(word.startswith("-") or word.partition("=")[0] == "hydra.mode" for word in settings):
-        sys.argv = ["rbfevo", *words]
+        _refuse_options(words)
+        sys.argv = ["rbfevo", *words, none]
         hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(task)()
         return
     with overrides.initialized(CONF) as made:
         # Its own command line composes the configuration once more, to look for hydra.mode: a tenth of a second.
         start = made.multirun if mode == "MULTIRUN" else made.run
-        start(config_name="config", task_function=task, overrides=[*settings, f"hydra.mode={mode}"])
+        start(config_name="config", task_function=task, overrides=[*settings, none, f"hydra.mode={mode}"])
+
+
+def _refuse_options(words: Sequence[str]) -> None:
+    """Raise UserError for what Hydra's own parser would answer with several lines of usage."""
+    parser = get_args_parser()
+
+    def refuse(message: str) -> NoReturn:
+        raise UserError(f"{message}; see python -m rbfevo --help, and --hydra-help")
+
+    parser.error = refuse
+    parser.parse_args(words)
 
 
 @contextlib.contextmanager
@@ -298,7 +317,7 @@ def _sweep(words: list[str]) -> int:
     place = jobs.begin(sweep)
     interrupted, broken = False, ""
     try:
-        _hydra(job, [*words, "hydra.output_subdir=null"])
+        _hydra(job, words)
     except KeyboardInterrupt:
         interrupted = True
     except (UserError, hydra.errors.HydraException, OmegaConfBaseException, OSError):

@@ -112,6 +112,10 @@ class MirroredEvaluator(Evaluator):
         scores = setup.new_tensor([regularity, min(max(1.0 - float(rest), 0.0), 1.0), rank / len(self.weights), 0.0])
         return scores if bool(torch.isfinite(scores).all()) else failure
 
+    def spectrum(self, centers: Tensor) -> MirroredSpectrum:
+        """Singular values and P of both blocks of centers [p, m, d], ready for gradients."""
+        return MirroredSpectrum(self, centers)
+
     def singular(self, setups: Tensor, finite: Tensor) -> Singular:
         """Extreme singular values of both blocks, the sum of their P, and the rank of the block along the plane."""
         setups = self.mirror.snapped(setups)
@@ -200,13 +204,6 @@ def evaluator_of(scenario: Scenario, kernel: Kernel, manipulation: str, backend:
     """The evaluator of a scenario's design, of symmetric setups where the scenario is symmetric."""
     design = (scenario.vertices, scenario.gradient, kernel, manipulation, scenario.weights, backend)
     return Evaluator(*design) if scenario.mirror is None else MirroredEvaluator(*design, mirror=scenario.mirror)
-
-
-def spectrum_of(evaluator: Evaluator, centers: Tensor) -> Spectrum:
-    """Singular values and P of centers [p, m, d], ready for gradients."""
-    if isinstance(evaluator, MirroredEvaluator):
-        return MirroredSpectrum(evaluator, centers)
-    return Spectrum(evaluator, centers)
 
 
 def _direct_values(deformation: RBFDeformation, centers: Tensor, Phi: Tensor, roots: Tensor) -> tuple[Tensor, bool]:

