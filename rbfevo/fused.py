@@ -30,7 +30,8 @@ class _Compilations(event.Listener):
     """Passes on that numba compiles a function of this module, which it does not where its cache has it."""
 
     def on_start(self, event: event.Event) -> None:
-        if event.data["dispatcher"].py_func.__module__ == __name__:
+        what = event.data or {}
+        if "dispatcher" in what and what["dispatcher"].py_func.__module__ == __name__:
             compilation.begins()
 
     def on_end(self, event: event.Event) -> None:

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -41,7 +42,7 @@ def command_of(name: str):
     return package if hasattr(package, "main") else importlib.import_module(f"{name}.__main__")
 
 
-def start(name: str, *words: str, imports: Path | None = None, **streams) -> subprocess.Popen[bytes]:
+def start(name: str, *words: str, imports: Path | None = None, **streams: Any) -> subprocess.Popen[bytes]:
     path = os.pathsep.join(map(str, [*([imports] if imports else []), ROOT]))
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": path}
     return subprocess.Popen([sys.executable, "-m", name, *words], env=environment, **streams)
