@@ -49,6 +49,16 @@ def test_a_sweep_that_is_started_again_does_nothing_twice(tmp_path, capsys):
     assert "2 of 2 jobs were done already" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("figures", "made"), [("False", False), ("no", False), ("TRUE", True)])
+def test_figures_may_be_written_in_any_way_that_hydra_knows(figures, made, tmp_path, monkeypatch):
+    collected = []
+    monkeypatch.setattr("rbfevo.launch.collected", lambda directory, quiet: collected.append((directory, quiet)))
+    monkeypatch.setattr("rbfevo.figures.draw", lambda run: [])
+    words = [word for word in NSGA2 if not word.startswith(("figures", "quiet"))]
+    assert main(["-m", *words, f"hydra.sweep.dir={tmp_path}", "seed=0", f"figures={figures}", "quiet=True"]) == 0
+    assert collected == ([(tmp_path, True)] if made else [])
+
+
 def test_jobs_are_recognized_by_their_settings_not_by_their_numbers(tmp_path):
     assert sweep(tmp_path, "seed=0,1") == 0
     before = times(tmp_path)

@@ -51,6 +51,11 @@ MISTAKES = {
     "preference=[0,0.5,nan]": "nan is not a number from 0",
     "preference=[]": "the list is empty",
     "preference=[0.5,0.5]": "twice",
+    "method=nsga2 preference=0.3": "method=nsga2 finds the same setups without it",
+    "method=lloyd preference=0.3": "leave it out, or choose method=cmaes or gradient",
+    "method=ols preference=[0,1]": "preference=[0,1]: method=ols finds the same setups without it",
+    "method=random preference=1": "method=random finds the same setups without it",
+    "method=gradient method.population=288": "starts=160: at least population=288 is needed",
     "method.nsga2.population=101": "even population",
     "method=nsga2 method.population=2": "even population",
     "method=nsga2 method.generations=0": "at least 1",
@@ -124,6 +129,19 @@ def run(directory: Path, *words: str) -> dict[str, np.ndarray]:
     assert main([f"hydra.run.dir={directory}", *SMALL, *words]) == 0
     with np.load(directory / "setups.npz") as archive:
         return dict(archive)
+
+
+def test_more_elements_than_starts_where_starts_are_not_used(tmp_path: Path) -> None:
+    words = ("method=gradient", "method.population=288", "preference=0", "method.generations=2", "method.polish=1")
+    assert run(tmp_path, *words)["preference"].tolist()[-1] == 0.0
+
+
+def test_a_sweep_over_methods_may_have_preferences_that_some_do_not_use(tmp_path: Path) -> None:
+    words = ["method=lloyd,cmaes", "preference=0.3", "checkpoint.every=null"]
+    assert main(["-m", f"hydra.sweep.dir={tmp_path}", *SMALL, *words]) == 0
+    found = [json.loads(path.read_text()) for path in tmp_path.glob("*/summary.json")]
+    warned = {run["method"]: [w for w in run["warnings"] if "finds the same setups without it" in w] for run in found}
+    assert [len(warned["lloyd"]), len(warned["cmaes"])] == [1, 0]
 
 
 def test_results_are_never_overwritten(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -109,6 +109,18 @@ def test_sensitivities_become_steepest_descent_in_the_inner_product(
     assert inner == pytest.approx(predicted, rel=2e-2 if array == "scalar" else 1e-9)
 
 
+@pytest.mark.parametrize("exponent", [-1060, -600, 600, 1020])
+def test_sensitivities_of_any_size_ask_for_the_same(exponent: int, folder: Path, tmp_path: Path) -> None:
+    ordinary = build(folder, sensitivity="vector")
+    values = np.ldexp(np.stack([X[:, 1], 0 * X[:, 0], X[:, 2]], 1), exponent)
+    np.save(tmp_path / "s.npy", values)
+    scenario = build(folder, sensitivity=str(tmp_path / "s.npy"))
+    digits = 1e-3 if exponent == -1060 else 1e-15  # of the smallest numbers few digits are left
+    torch.testing.assert_close(scenario.gradient, ordinary.gradient, rtol=0, atol=digits)
+    if exponent in (-600, 600):
+        assert scenario.gradient_norm == pytest.approx(np.ldexp(ordinary.gradient_norm, exponent), rel=1e-12)
+
+
 def test_the_same_values_from_a_file(folder: Path, tmp_path: Path) -> None:
     values = X[:, 0] - 9.5
     np.save(tmp_path / "s.npy", values)

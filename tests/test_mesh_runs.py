@@ -154,6 +154,22 @@ def test_a_search_on_few_vertices_is_scored_on_all(template: Path, tmp_path: Pat
     assert few["regularity"].max() > 0
 
 
+@pytest.mark.parametrize("size", [1e300, 1e-300])
+def test_huge_and_tiny_sensitivities_leave_a_summary_that_is_json(size: float, template: Path, tmp_path: Path) -> None:
+    values = np.load(template.parent / "s.npy") * size
+    np.save(tmp_path / "huge.npy", values * 1e8 if size > 1 else values)  # the norm is beyond what a float holds
+    words = ["method=random", "method.population=3", f"kernel.support={SUPPORT}"]
+    words.append(f"scenario.sensitivity={tmp_path / 'huge.npy'}")
+    found, files, said = run(tmp_path / "run", template, *words)
+    plain, wanted, _ = run(tmp_path / "plain", template, *words[:-1])
+    np.testing.assert_allclose(files["gradient"], wanted["gradient"], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found["improvement_potential"], plain["improvement_potential"], rtol=0, atol=1e-12)
+    text = (tmp_path / "run" / "summary.json").read_text()
+    assert "Infinity" not in text
+    assert "NaN" not in text
+    assert said["gradient_is"] == "direction"
+
+
 def test_large_results_are_scored_by_the_evaluator_and_not_counted(
     template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
