@@ -17,7 +17,9 @@ from test_columns import MIRRORS, field
 from test_exchange import CUBE, tetrahedra
 from test_export import CASES, a_run, spatial
 
-from rbfevo import apply
+from rbfevo import apply, export
+from rbfevo.columns import setup
+from rbfevo.picks import pick
 from rbfevo.record import Record, read
 
 
@@ -267,3 +269,40 @@ def test_whatever_bytes_come_in_the_answer_is_0_or_a_line(
     code = apply.main([str(run), "--pick", "index:0", *words, "--quiet"])
     assert code in (0, 2)
     assert (place / "b.npy").exists() == (code == 0)
+
+
+@pytest.mark.parametrize("at", [0.0, 0.1, 0.3])
+def test_apply_takes_what_export_wrote_for_centers_on_the_plane(
+    at: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = a_run(tmp_path / "run", symmetry={"axis": "x", "at": at}, on=3, kernel="triharmonic", m=9)
+    words = [str(run), "--pick", "index:0"]
+    assert export.main([*words, "--quiet", "--out", str(tmp_path / "out")]) == 0
+    np.save(tmp_path / "a.npy", points_of(3))
+    for what in ("displacements", "weights"):
+        files = [f"--{what}", str(tmp_path / "out" / f"{what}.csv"), "--mesh", str(tmp_path / "a.npy")]
+        assert apply.main([*words, *files, "--out", str(tmp_path / f"{what}.npy")]) == 0, capsys.readouterr().err
+    one, other = (np.load(tmp_path / f"{what}.npy") for what in ("displacements", "weights"))
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-8)
+
+
+def test_tetrahedra_that_become_flat_are_counted(tmp_path: Path) -> None:
+    run = a_run(tmp_path / "run")
+    record = read(run)
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1.0], [1, 1, 0]])
+    cells = np.array([[0, 1, 2, 3], [0, 2, 1, 4], [0, 1, 5, 2]])  # the last one is flat from the start
+    moved = points.copy()
+    moved[3, 2] = 0.0
+
+    class Volume:
+        triangles, tetrahedra = None, cells
+
+    volume: Any = Volume()
+    volume.points = points
+    chosen = setup(record, pick(record, "index:0"))
+    (line,) = apply.warnings(record, chosen, volume, moved, np.zeros(6), 1.0)
+    assert line.startswith("1 of 3 tetrahedra are inverted or flat")
+    moved[3, 2] = -0.5
+    (line,) = apply.warnings(record, chosen, volume, moved, np.zeros(6), 1.0)
+    assert line.startswith("1 of 3 tetrahedra")
+    assert list(apply.warnings(record, chosen, volume, points, np.zeros(6), 1.0)) == []

@@ -56,3 +56,15 @@ def test_cells_are_weighted_means() -> None:
     total = (design.weights[:, None] * design.gradient).sum(0)
     torch.testing.assert_close((fewer.weights[:, None] * fewer.gradient).sum(0), total)
     assert len(fewer.faces) == 0
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.9, 1.0])
+def test_p_is_matched_as_the_square_of_g(factor: float) -> None:
+    fewer = coarsened(plane((30, 30)), 100)
+    potential = torch.tensor([0.2, 0.5, 0.3], dtype=torch.float64)
+    scaled = matched(fewer, potential, factor**2 * potential)
+    torch.testing.assert_close(scaled.gradient, factor * fewer.gradient)
+    norm = (fewer.weights[:, None] * fewer.gradient.square()).sum().sqrt()
+    assert float(norm) < 0.99  # means lose what g does within a cell
+    scaled = matched(fewer, potential, 4.0 * potential)  # but its norm stays at most 1
+    torch.testing.assert_close(scaled.gradient, fewer.gradient / norm)

@@ -589,3 +589,15 @@ def test_nastran_takes_any_coordinates(tmp_path: Path) -> None:
     triangles = np.arange(39).reshape(13, 3)
     meshio.Mesh(rounded, [("triangle", triangles)]).write(tmp_path / "a.nas", "nastran")
     np.testing.assert_allclose(meshio.read(tmp_path / "a.nas").points, points, rtol=1e-9)
+
+
+def test_a_conversion_keeps_the_arrays_of_points_and_cells(tmp_path: Path) -> None:
+    mesh = volume(".msh")
+    heat, mark = np.arange(27.0) ** 2, [np.arange(float(len(block.data))) for block in mesh.cells]
+    mesh.point_data["heat"], mesh.cell_data["mark"] = heat, mark
+    meshio.write(tmp_path / "a.msh", mesh, "gmsh22")
+    deform(tmp_path / "a.msh", tmp_path / "b.vtu")
+    again: Any = pyvista.read(tmp_path / "b.vtu")
+    np.testing.assert_array_equal(again["heat"], heat)
+    np.testing.assert_array_equal(again.cell_data["mark"], np.concatenate(mark))
+    np.testing.assert_allclose(again["displacement"], bend(CUBE), atol=1e-15)

@@ -354,3 +354,29 @@ def test_every_pair_rejected(tmp_path):
         face(subdivisions=2, scan=path)
     everything = face(subdivisions=2, scan=path, reject="none")
     assert (everything.gradient.norm(dim=1) > 0.0).sum() >= 161  # the vertex (0, 0, 1) is there already
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e3])
+def test_seams_close_and_small_triangles_stay_in_any_unit(scale):
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    whole, faces = np.asarray(ball.vertices), np.asarray(ball.faces)
+    # Every triangle has corners of its own, which miss each other by far less than 1e-6 of the size.
+    corners = whole[faces].reshape(-1, 3) + np.random.default_rng(0).uniform(-1e-7, 1e-7, (3 * len(faces), 3))
+    points, merged = placement.merge_coincident(scale * corners, np.arange(len(corners)).reshape(-1, 3))
+    assert points.shape == whole.shape
+    assert merged.shape == faces.shape
+    # But 1e-5 of the size is a distance.
+    two = np.concatenate([whole, [whole[0] + [1e-5, 0.0, 0.0]]])
+    kept, _ = placement.merge_coincident(scale * two, None)
+    assert len(kept) == len(whole) + 1
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e3])
+@pytest.mark.parametrize(("share", "rejected"), [(0.4, False), (0.6, True), (0.9, True)])
+def test_a_pair_is_rejected_from_half_a_spacing_beyond_the_rim(share, rejected, scale):
+    x, y = np.meshgrid(np.arange(21.0), np.arange(21.0), indexing="ij")
+    cloud = scale * np.stack([x.ravel(), y.ravel(), np.zeros(441)], axis=1)
+    end = 10  # (0, 10), in the middle of the rim
+    distance = np.sort(np.linalg.norm(cloud - cloud[end], axis=1))[1:25]
+    point = cloud[[end]] - [share * distance.mean(), 0.0, 0.3 * scale]  # upwards does not count
+    assert correspondence.beyond_rim(point, np.array([end]), cloud).tolist() == [rejected]

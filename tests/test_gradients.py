@@ -7,7 +7,7 @@ import torch
 from designs import DESIGNS, KERNELS, PAIRS
 
 from rbfevo.evaluator import Evaluator
-from rbfevo.gradients import differentiable_scores
+from rbfevo.gradients import Spectrum, differentiable_scores
 
 BACKENDS = ("fused", "eager")
 
@@ -98,3 +98,25 @@ def test_degenerate_setups_have_finite_gradients_and_leave_the_others_alone(
     if evaluate.deformation.kernel.support is not None:
         assert regularity[3] == 0
         assert (gradient[3, 2] == 0).all()
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("trouble", ["duplicate", "out of reach", "nan"])
+def test_a_rank_deficient_setup_has_no_gradient_of_its_potential(trouble: str, backend: str) -> None:
+    evaluate = evaluator("plane", "wendland 0.25", "indirect", backend)
+    centers = setups(evaluate, 2, 5).detach()
+    if trouble == "duplicate":
+        centers[0, 1] = centers[0, 0]
+    else:
+        centers[0, 1] = torch.nan if trouble == "nan" else 30.0
+    spectrum = Spectrum(evaluate, centers)
+    # A center out of reach has a column of zeros, which takes nothing from the others: there P has a gradient.
+    assert spectrum.improvable.tolist() == [trouble == "out of reach", True]
+    assert spectrum.regular.tolist() == [False, True]
+    centers.requires_grad_()
+    _, potential = differentiable_scores(evaluate, centers)
+    (gradient,) = torch.autograd.grad(potential.sum(), centers)
+    assert bool((gradient[0] == 0).all()) == (trouble != "out of reach")
+    assert bool((gradient[1] != 0).any())
+    if trouble == "out of reach":
+        assert bool((gradient[0, 1] == 0).all())

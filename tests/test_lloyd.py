@@ -202,3 +202,22 @@ def test_mistakes_are_answered_with_one_line(change, said):
     with pytest.raises(UserError, match=said) as caught:
         lloyd(**settings)
     assert "\n" not in str(caught.value)
+
+
+def test_starts_are_those_of_plain_greedy_k_means():
+    """Greedy k-means++ with masses, written out again for one start after the other, on the same random numbers."""
+    X, mass = random(200, 2), random(200, seed=1) ** 6 + 1e-3
+    count, starts = 5, 4
+    found = _seed(X, mass, count, starts, seeded(3)).numpy()
+    generator, x, w = seeded(3), X.numpy(), mass.numpy()
+    square = np.full((starts, 200), np.inf)
+    for j in range(count):
+        trials = 2 + int(np.log(count)) if j else 1
+        draws = torch.rand(starts, trials, generator=generator, dtype=torch.float64).numpy()
+        for s in range(starts):
+            cumulative = np.cumsum(w if j == 0 else square[s] * w)
+            tried = [int(np.searchsorted(cumulative, u * cumulative[-1], side="right")) for u in draws[s]]
+            nearer = [np.minimum(square[s], ((x - x[i]) ** 2).sum(1)) for i in tried]
+            best = int(np.argmin([(w * each).sum() for each in nearer]))
+            square[s] = nearer[best]
+            np.testing.assert_array_equal(found[s, j], x[tried[best]])

@@ -16,6 +16,7 @@ import trimesh
 from rbfevo.errors import UserError
 from rbfevo.methods.lloyd import lloyd
 from rbfevo.scenarios import mesh
+from rbfevo.scenarios.mesh import _sampler
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scenarios.templates import read_template
 
@@ -287,3 +288,31 @@ def test_mixed_units_are_asked_about(folder: Path, tmp_path: Path) -> None:
 def test_no_template() -> None:
     with pytest.raises(UserError, match=r"needs scenario\.template=FILE"):
         mesh(sensitivity="a")
+
+
+def test_centers_on_one_triangle_are_uniform_in_it() -> None:
+    corners = torch.tensor([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 3.0, 1.0]], dtype=torch.float64)
+    drawn = _sampler(corners, torch.tensor([[0, 1, 2]]))(40, 500, torch.Generator().manual_seed(0)).reshape(-1, 3)
+    # Shares of the corners: each is 1/3 in the mean, with mean square 1/6, and mean product 1/12.
+    shares = torch.linalg.lstsq(torch.cat((corners[1:] - corners[0],)).T, (drawn - corners[0]).T).solution.T
+    shares = torch.cat((1.0 - shares.sum(1, keepdim=True), shares), dim=1)
+    assert float(shares.min()) > -1e-12
+    torch.testing.assert_close(shares.mean(0), torch.full((3,), 1 / 3, dtype=torch.float64), rtol=0, atol=0.01)
+    products = shares.T @ shares / len(shares)
+    wanted = torch.full((3, 3), 1 / 12, dtype=torch.float64) + torch.eye(3, dtype=torch.float64) / 12
+    torch.testing.assert_close(products, wanted, rtol=0, atol=0.01)
+
+
+def test_triangles_are_drawn_by_their_area() -> None:
+    corners = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [8, 0, 0], [5, 1, 0]], dtype=torch.float64)
+    drawn = _sampler(corners, torch.tensor([[0, 1, 2], [3, 4, 5]]))(1, 20_000, torch.Generator().manual_seed(0))
+    assert float((drawn[0, :, 0] > 3).double().mean()) == pytest.approx(0.75, abs=0.01)
+
+
+@pytest.mark.parametrize("mark", [1.0, -1.0, 1e-300])
+def test_any_value_but_zero_marks_a_vertex_as_fixed(mark: float, folder: Path, tmp_path: Path) -> None:
+    front = X[:, 0] < 8.5
+    np.save(tmp_path / "marks.npy", np.where(front, mark, 0.0))
+    scenario = build(folder, sensitivity="vector", fixed=str(tmp_path / "marks.npy"))
+    assert bool((scenario.gradient[torch.from_numpy(front)] == 0).all())
+    assert int((scenario.gradient != 0).any(1).sum()) > 0.9 * int((~front).sum())

@@ -10,7 +10,9 @@ from scipy.spatial.distance import cdist
 
 from rbfevo.errors import UserError
 from rbfevo.evaluator import Evaluator
+from rbfevo.gradients import differentiable_scores
 from rbfevo.kernels import Cubic, Kernel, Wendland
+from rbfevo.methods.tracing import soft_regularity
 from rbfevo.mirror import Mirror
 from rbfevo.mirrored import MirroredEvaluator, MirroredSpectrum
 
@@ -163,3 +165,66 @@ def test_planes_that_miss_the_box_and_heights_are_refused() -> None:
         Mirror.across(1, 3.0, -CORNER, CORNER)
     with pytest.raises(UserError, match="a component along every axis"):
         MirroredEvaluator(DESIGN.vertices, DESIGN.gradient[:, :1], Wendland(1.0), mirror=MIRROR)
+
+
+def test_what_fills_the_place_of_a_missing_column_lies_between_the_extremes() -> None:
+    """A filler has no part in R, sharp or soft: it is the geometric mean of the extremes of both blocks."""
+    for manipulation in ("indirect", "direct"):
+        evaluate = evaluator(KERNELS["wendland"], manipulation)
+        centers = population()[[0, 2, 6]]
+        centers[1, 3:] += 0.3  # the block along the plane has the smallest singular value, or the one across it
+        spectrum = MirroredSpectrum(evaluate, centers)
+        missing = [1, 2, 0]
+        for sigma, scores, count in zip(spectrum.sigma, evaluate(centers).regularity, missing, strict=True):
+            real = torch.cat((sigma[:5], sigma[5 : 10 - count]))
+            middle = (real.amin() * real.amax()).sqrt()
+            torch.testing.assert_close(sigma[10 - count :], middle.expand(count))
+            assert float(real.amin() / real.amax()) == pytest.approx(float(scores), rel=1e-9)
+        q = torch.full((3,), 24.0, dtype=torch.float64)
+        soft, slope = soft_regularity(spectrum, q)
+        assert bool((soft <= spectrum.regularity.log() + 1e-12).all())
+        assert bool((soft >= spectrum.regularity.log() - 2.0 * np.log(10) / 24.0).all())
+        way = torch.randn(centers.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+        way[evaluate.mirror.on_plane(centers)] = 0.0
+        ahead, behind = (soft_regularity(MirroredSpectrum(evaluate, centers + s * way), q)[0] for s in (1e-6, -1e-6))
+        found = (spectrum.backward(slope, torch.zeros(3, dtype=torch.float64)) * way).sum((1, 2))
+        torch.testing.assert_close(found, (ahead - behind) / 2e-6, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("manipulation", ["indirect", "direct"])
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_differentiable_scores_of_symmetric_setups_are_the_evaluators(kernel: str, manipulation: str) -> None:
+    evaluate = evaluator(KERNELS[kernel], manipulation)
+    centers = population()
+    regularity, potential = differentiable_scores(evaluate, centers)
+    scores = evaluate.definition(centers)
+    assert bool(((regularity - scores.regularity).abs() <= 1e-6 * scores.regularity + 1e-12).all())
+    torch.testing.assert_close(potential, scores.improvement_potential, rtol=0, atol=1e-8)
+    free = DESIGN.centers(2, 3, 4, seed=8)[:, :2].clone().requires_grad_()
+    way = torch.randn(free.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+
+    def value(c: torch.Tensor) -> torch.Tensor:
+        R, P = differentiable_scores(evaluate, c)
+        assert R.shape == P.shape == (2, 2)
+        return R + P
+
+    (gradient,) = torch.autograd.grad(value(free).sum(), free)
+    expected = (value(free.detach() + 1e-6 * way) - value(free.detach() - 1e-6 * way)) / 2e-6
+    torch.testing.assert_close((gradient * way).sum((2, 3)), expected.detach(), rtol=1e-4, atol=1e-7)
+
+
+def test_differentiable_scores_of_ill_conditioned_symmetric_setups() -> None:
+    evaluate = evaluator(KERNELS["cubic"], "indirect")
+    centers = DESIGN.centers(2, 6, seed=9).requires_grad_()
+    close = centers.detach().clone()
+    close[0, 1] = close[0, 0] + 1e-7
+    close[1, 1] = close[1, 0]  # rank-deficient
+    close.requires_grad_()
+    regularity, potential = differentiable_scores(evaluate, close)
+    assert evaluate.further_passes > 0
+    scores = evaluate.definition(close)
+    assert float(regularity[0].detach()) == pytest.approx(float(scores.regularity[0]), rel=1e-3)
+    assert float(regularity[1].detach()) == 0.0
+    (gradient,) = torch.autograd.grad(regularity.sum() + potential.sum(), close)
+    assert bool(gradient.isfinite().all())
+    assert bool((gradient[1] == 0).all())

@@ -20,7 +20,7 @@ from scipy.stats import ks_2samp
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.methods.nsga2 import NSGA2
+from rbfevo.methods.nsga2 import NSGA2, _crossover, _mutate
 from rbfevo.pareto import crowding, nondominated, ranks
 
 Objectives = Callable[[Tensor], Tensor]
@@ -311,3 +311,41 @@ def test_calls_that_do_not_fit_are_refused() -> None:
         search(22).load_state_dict(nsga2.state_dict())
     with pytest.raises(UserError, match="not inside the box"):
         NSGA2(torch.full((4, 1), math.nan), torch.zeros(1), torch.ones(1), generator=torch.Generator())
+
+
+@pytest.mark.parametrize("eta", [1.0, 5.0, 20.0])
+@pytest.mark.parametrize("choice", [0.01, 0.1, 0.2, 0.3, 0.45, 0.6])
+def test_crossover_is_the_closed_form_of_deb_and_agrawal(choice: float, eta: float) -> None:
+    """For a variable that crosses: u is `choice` without its first two binary digits."""
+    lower, upper, first, second = -1.0, 3.0, 0.7, 1.9
+    parents = np.array([[first], [second]])
+    _crossover(parents, np.array([lower]), np.array([upper]), eta, np.array([choice]))
+    if choice >= 0.5:
+        assert parents.ravel().tolist() == [first, second]
+        return
+    u = (4.0 * choice) % 1.0
+
+    def spread(room: float) -> float:
+        beta = 1.0 + 2.0 * room / (second - first)
+        alpha = 2.0 - beta ** -(eta + 1.0)
+        return (u * alpha if u <= 1.0 / alpha else 1.0 / (2.0 - u * alpha)) ** (1.0 / (eta + 1.0))
+
+    middle, half = (first + second) / 2, (second - first) / 2
+    children = [middle - spread(first - lower) * half, middle + spread(upper - second) * half]
+    assert parents.ravel().tolist() == pytest.approx(children if choice < 0.25 else children[::-1], rel=1e-12)
+
+
+@pytest.mark.parametrize("eta", [1.0, 20.0])
+@pytest.mark.parametrize("u", [0.001, 0.2, 0.5, 0.7, 0.999])
+def test_mutation_is_the_closed_form_of_deb_and_goyal(u: float, eta: float) -> None:
+    lower, upper, x, probability = -1.0, 3.0, 0.2, 0.4
+    mutated, kept = np.array([x]), np.array([x])
+    _mutate(mutated, np.array([lower]), np.array([upper]), eta, probability, np.array([u * probability]))
+    _mutate(kept, np.array([lower]), np.array([upper]), eta, probability, np.array([0.4 + 0.6 * u]))
+    below, above = (x - lower) / (upper - lower), (upper - x) / (upper - lower)
+    if u <= 0.5:
+        delta = (2 * u + (1 - 2 * u) * (1 - below) ** (eta + 1)) ** (1 / (eta + 1)) - 1
+    else:
+        delta = 1 - (2 * (1 - u) + 2 * (u - 0.5) * (1 - above) ** (eta + 1)) ** (1 / (eta + 1))
+    assert mutated[0] == pytest.approx(x + delta * (upper - lower), rel=1e-9, abs=1e-12)
+    assert kept[0] == x

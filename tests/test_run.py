@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import signal
 from pathlib import Path
 
+import moocore
 import numpy as np
 import pytest
 import torch
@@ -13,7 +15,8 @@ from omegaconf import OmegaConf
 from rbfevo import run
 from rbfevo.config import Settings, check
 from rbfevo.errors import UserError
-from rbfevo.methods.stage import random_stream
+from rbfevo.evolvability import Scores
+from rbfevo.methods.stage import Rows, random_stream
 
 METHODS = {
     "nsga2": {"_target_": "rbfevo.methods.Nsga2Search", "population": 8, "generations": 3},
@@ -103,3 +106,35 @@ def test_streams_of_random_numbers_are_told_apart_by_seed_and_name() -> None:
     assert len({tuple(values) for values in draws.values()}) == len(draws)
     again = torch.rand(4, generator=random_stream(1, "nsga2")).tolist()
     assert again == draws[1, "nsga2"]
+
+
+def test_the_hypervolume_is_that_of_the_rows_that_are_saved(tmp_path: Path) -> None:
+    assert run.carry_out(settings("nsga2"), tmp_path) == 0
+    rows = table(tmp_path)
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    objectives = np.stack((rows["regularity"], rows["improvement_potential"]), axis=1)
+    assert summary["hypervolume"] == pytest.approx(moocore.hypervolume(objectives, ref=[0, 0], maximise=True))
+    last = (tmp_path / "history.csv").read_text().splitlines()[-1].split(",")
+    found = dict(zip((tmp_path / "history.csv").read_text().splitlines()[0].split(","), last, strict=True))
+    own = objectives[rows["method"] == "nsga2"]
+    assert float(found["hypervolume"]) == pytest.approx(moocore.hypervolume(own, ref=[0, 0], maximise=True), rel=1e-6)
+    assert float(found["best_regularity"]) == pytest.approx(own[:, 0].max(), rel=1e-6)
+    assert float(found["best_improvement_potential"]) == pytest.approx(own[:, 1].max(), rel=1e-6)
+
+
+def test_differences_are_those_of_the_search_from_what_is_saved() -> None:
+    def rows(*objectives: tuple[float, float]) -> list[Rows]:
+        R, P = torch.tensor(objectives, dtype=torch.float64).T
+        scores = Scores(R, P, torch.zeros_like(R), torch.zeros_like(R, dtype=torch.bool))
+        return [Rows("x", torch.zeros(len(R), 1, 2), scores, torch.full_like(R, torch.nan))]
+
+    found = run.differences(rows((0.11, 0.5), (0.22, 0.6), (0.3, 0.2)), rows((0.1, 0.52), (0.2, 0.6), (0.4, 0.5)))
+    assert found == pytest.approx(
+        {
+            "regularity_median": 0.1,
+            "regularity_largest": 0.25,
+            "improvement_potential_median": -0.02,
+            "improvement_potential_largest": 0.3,
+        }
+    )
+    assert run.differences([], []) is None
