@@ -45,7 +45,8 @@ def command_of(name: str):
 def start(name: str, *words: str, imports: Path | None = None, **streams: Any) -> subprocess.Popen[bytes]:
     path = os.pathsep.join(map(str, [*([imports] if imports else []), ROOT]))
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": path}
-    return subprocess.Popen([sys.executable, "-m", name, *words], env=environment, **streams)
+    process: Any = subprocess.Popen([sys.executable, "-m", name, *words], env=environment, **streams)
+    return process
 
 
 def ended(name: str, *words: str, imports: Path | None = None) -> tuple[int, str, str]:

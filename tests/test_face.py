@@ -364,6 +364,7 @@ def test_seams_close_and_small_triangles_stay_in_any_unit(scale):
     corners = whole[faces].reshape(-1, 3) + np.random.default_rng(0).uniform(-1e-7, 1e-7, (3 * len(faces), 3))
     points, merged = placement.merge_coincident(scale * corners, np.arange(len(corners)).reshape(-1, 3))
     assert points.shape == whole.shape
+    assert merged is not None
     assert merged.shape == faces.shape
     # But 1e-5 of the size is a distance.
     two = np.concatenate([whole, [whole[0] + [1e-5, 0.0, 0.0]]])

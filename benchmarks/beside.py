@@ -1,0 +1,78 @@
+"""`python -m benchmarks.beside CHECKOUT`: setups a second of this tree beside those of another checkout, in one run.
+
+Both are timed in turns, each round in a process of its own, on as many threads as there are cores: the scores of 200
+setups, and the value and gradient of 72, for each kernel of the plane and the face. Ratios are medians over the rounds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+CODE = """
+import json, time, torch
+from rbfevo.kernels import triharmonic, wendland
+from rbfevo.mirrored import evaluator_of
+from rbfevo.gradients import Spectrum
+from rbfevo.scenarios import face, plane
+from rbfevo.threads import coarse
+
+found = {}
+with coarse():
+    for name, scenario in (("plane", plane()), ("face", face())):
+        d = scenario.vertices.shape[1]
+        centers = scenario.sample(200, 25, torch.Generator().manual_seed(0))
+        for kernel in (wendland(d, scenario.support), triharmonic(d)):
+            for manipulation in ("indirect", "direct"):
+                evaluate = evaluator_of(scenario, kernel, manipulation)
+                evaluate(centers[:4])
+                begin = time.perf_counter()
+                evaluate(centers)
+                middle = time.perf_counter()
+                spectrum = Spectrum(evaluate, centers[:72])
+                spectrum.backward(torch.ones(72, 25, dtype=torch.float64), torch.ones(72, dtype=torch.float64))
+                end = time.perf_counter()
+                case = f"{name}, {kernel.name}, {manipulation}"
+                found[f"{case}: scores"] = 200 / (middle - begin)
+                found[f"{case}: with gradient"] = 72 / (end - middle)
+print(json.dumps(found))
+"""
+
+
+def timed(tree: Path) -> dict[str, float]:
+    """Setups a second of each case in one process that works in `tree`."""
+    settings = os.environ | {"OMP_NUM_THREADS": str(os.cpu_count()), "PYTHONPATH": str(tree)}
+    done = subprocess.run([sys.executable, "-c", CODE], cwd=tree, env=settings, capture_output=True, text=True)
+    if done.returncode != 0:
+        sys.exit(f"{tree}: {done.stderr[-500:]}")
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def main() -> None:
+    """Print a line for each case: both rates, and the ratio."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.beside", description=(__doc__ or "").partition("\n\n")[2]
+    )
+    parser.add_argument("checkout", type=Path, help="another checkout of this repository")
+    parser.add_argument("--rounds", type=int, default=7)
+    arguments = parser.parse_args()
+    other = arguments.checkout.resolve()
+    timed(ROOT), timed(other)  # machine code is compiled
+    rounds = [
+        (timed(ROOT), timed(other)) if i % 2 else (timed(other), timed(ROOT))[::-1] for i in range(arguments.rounds)
+    ]
+    print(f"{'setups a second':44} {'here':>8} {'there':>8}   ratio")
+    for case in rounds[0][0]:
+        here, there = ([each[side][case] for each in rounds] for side in (0, 1))
+        ratio = statistics.median(a / b for a, b in zip(here, there, strict=True))
+        print(f"{case:44} {statistics.median(here):8.0f} {statistics.median(there):8.0f} {ratio:7.3f}")
+
+
+if __name__ == "__main__":
+    main()
