@@ -13,6 +13,7 @@ import torch
 _workers: int | None = None
 _entered = 0
 _entering = threading.Lock()
+_place = threading.local()
 
 
 @functools.cache
@@ -23,14 +24,19 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 def run_in_slices(work: Callable[[int, int], None], count: int) -> None:
     """Call work(begin, end) on slices that make up range(count), on as many threads as torch would use.
 
-    Every element's result must not depend on the slice that it falls in.
+    Every element's result must not depend on the slice that it falls in. Within a slice, further slices are not cut.
     """
     with coarse() as threads:
-        if threads == 1 or count <= 1:
+        if threads == 1 or count <= 1 or getattr(_place, "within", False):
             work(0, count)
             return
+
+        def piece(begin: int, end: int) -> None:
+            _place.within = True  # what waits for the pool from within it might wait for ever
+            work(begin, end)
+
         step = max(1, -(-count // (4 * threads)))
-        futures = [_pool(threads).submit(work, i, min(i + step, count)) for i in range(0, count, step)]
+        futures = [_pool(threads).submit(piece, i, min(i + step, count)) for i in range(0, count, step)]
         for future in futures:
             future.result()
 
