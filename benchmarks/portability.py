@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import NamedTuple
 
@@ -125,12 +126,14 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="rbfevo-portability-") as name:
         directory = Path(name)
         print(f"{'processor':26} threads  passed  failed  seconds")
-        for processor in chosen:
-            for count in threads:
-                outcome = tested(processor, count, FEW if arguments.short else TESTS, directory)
-                outcomes.append(outcome)
-                numbers = f"{outcome.passed:7}  {outcome.failed:6}  {outcome.seconds:7.1f}"
-                print(f"{outcome.processor:26} {count:7}  {numbers}  {outcome.note}", flush=True)
+        tests = FEW if arguments.short else TESTS
+        for count in threads:
+            at_once = max(1, (os.cpu_count() or 1) // count)
+            with ThreadPoolExecutor(at_once) as pool:
+                for outcome in pool.map(lambda processor: tested(processor, count, tests, directory), chosen):  # noqa: B023
+                    outcomes.append(outcome)
+                    numbers = f"{outcome.passed:7}  {outcome.failed:6}  {outcome.seconds:7.1f}"
+                    print(f"{outcome.processor:26} {count:7}  {numbers}  {outcome.note}", flush=True)
         if whole:
             written(OUTPUT, outcomes)
         if not (arguments.short or arguments.no_spread):

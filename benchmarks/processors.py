@@ -88,10 +88,8 @@ def environment(processor: Processor, directory: Path) -> dict[str, str]:
         name, _, value = processor.mkl.partition("=")
         found[name] = value
     if processor.foreign:
-        library = directory / "foreign.so"
-        if not library.exists():
-            source = directory / "foreign.c"
-            source.write_text(ANSWERS + "\n")
-            subprocess.run(["cc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
+        source, library = directory / f"{slug}.c", directory / f"{slug}.so"
+        source.write_text(ANSWERS + "\n")
+        subprocess.run(["cc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
         found["LD_PRELOAD"] = str(library)
     return found
