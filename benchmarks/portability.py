@@ -8,8 +8,10 @@ searches end with. Written to benchmarks/portability.csv and benchmarks/spread.c
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import os
+import platform
 import re
 import subprocess
 import sys
@@ -71,7 +73,8 @@ class Outcome(NamedTuple):
 
 def tested(processor: Processor, threads: int, tests: Sequence[str], directory: Path) -> Outcome:
     """Run the tests as on that processor."""
-    described = (processor.torch, "not Intel's" if processor.foreign else processor.mkl, processor.numba)
+    mkl = ", ".join(filter(None, (processor.mkl, processor.maker and f"maker: {processor.maker}")))
+    described = (processor.torch, mkl, processor.numba)
     reason = missing(processor)
     if reason:
         return Outcome(processor.name, threads, *described, 0, 0, 0.0, f"not run: {reason}")
@@ -95,6 +98,15 @@ def tested(processor: Processor, threads: int, tests: Sequence[str], directory: 
         note = " ".join((done.stdout + done.stderr).split())[-200:] or f"exit code {done.returncode}"
     failed = counts.get("failed", 0) + counts.get("error", 0) + (done.returncode not in (0, 1))
     return Outcome(processor.name, threads, *described, counts.get("passed", 0), failed, round(seconds, 1), note)
+
+
+def described_here() -> str:
+    """This machine's processor, as its operating system names it, and what torch makes of it."""
+    name = platform.processor() or platform.machine()
+    with contextlib.suppress(OSError):
+        found = re.search(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
+        name = found[1] if found else name
+    return f"{name}, {torch.backends.cpu.get_cpu_capability()}"
 
 
 def written(path: Path, rows: Sequence[NamedTuple]) -> None:
@@ -121,7 +133,7 @@ def main() -> int:
         parser.error(f"--only: there are {', '.join(p.name for p in PROCESSORS)}")
     threads = arguments.threads or ([1] if arguments.short else [1, 2])
     whole = len(chosen) == len(PROCESSORS) and not arguments.threads
-    print(f"this processor: {torch.backends.cpu.get_cpu_capability()}; torch {torch.__version__}", flush=True)
+    print(f"this processor: {described_here()}; torch {torch.__version__}", flush=True)
     outcomes: list[Outcome] = []
     with tempfile.TemporaryDirectory(prefix="rbfevo-portability-") as name:
         directory = Path(name)

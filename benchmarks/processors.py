@@ -2,7 +2,7 @@
 
 PyTorch's own loops obey ATEN_CPU_CAPABILITY, numba's machine code NUMBA_CPU_NAME, MKL MKL_ENABLE_INSTRUCTIONS and
 MKL_CBWR. MKL takes other code paths on processors that are not Intel's, in which results depend on how an array is
-aligned; no setting asks for those, but a small library that is loaded first can answer in the place of MKL's own check.
+aligned; no setting asks for either, but a small library that is loaded first can answer in place of MKL's own check.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import torch
 
 LEVELS = ("DEFAULT", "AVX2", "AVX512")  # as torch names what a processor can do, rising
-ANSWERS = "int mkl_serv_intel_cpu(void){return 0;} int mkl_serv_intel_cpu_true(void){return 0;}"
+ANSWERS = "int mkl_serv_intel_cpu(void){{return {0};}} int mkl_serv_intel_cpu_true(void){{return {0};}}"
 CHECK = "mkl_serv_intel_cpu_true"
 
 
@@ -29,7 +29,7 @@ class Processor(NamedTuple):
         level: what the real processor must be able to do, one of `LEVELS`.
         torch, mkl, numba: the values of ATEN_CPU_CAPABILITY, of one of MKL's settings, and of NUMBA_CPU_NAME; "" for
             what the real processor would take.
-        foreign: whether MKL is to take it for another maker's.
+        maker: what MKL is to take it for, "intel" or "another"; "" for what the real processor is.
     """
 
     name: str
@@ -37,21 +37,22 @@ class Processor(NamedTuple):
     torch: str
     mkl: str
     numba: str
-    foreign: bool = False
+    maker: str = ""
 
 
 PROCESSORS = (
     Processor("this one", "DEFAULT", "", "", ""),
-    Processor("AVX-512", "AVX512", "avx512", "MKL_ENABLE_INSTRUCTIONS=AVX512", "x86-64-v4"),
-    Processor("AVX2", "AVX2", "avx2", "MKL_ENABLE_INSTRUCTIONS=AVX2", "x86-64-v3"),
-    Processor("AVX2, MKL reproducible", "AVX2", "avx2", "MKL_CBWR=AVX2", "x86-64-v3"),
-    Processor("SSE4.2", "DEFAULT", "default", "MKL_ENABLE_INSTRUCTIONS=SSE4_2", "x86-64-v2"),
-    Processor("oldest, MKL compatible", "DEFAULT", "default", "MKL_CBWR=COMPATIBLE", "x86-64-v2"),
+    Processor("Intel's, AVX-512", "AVX512", "avx512", "MKL_ENABLE_INSTRUCTIONS=AVX512", "x86-64-v4", "intel"),
+    Processor("Intel's, AVX2", "AVX2", "avx2", "MKL_ENABLE_INSTRUCTIONS=AVX2", "x86-64-v3", "intel"),
+    Processor("Intel's, SSE4.2", "DEFAULT", "default", "MKL_ENABLE_INSTRUCTIONS=SSE4_2", "x86-64-v2", "intel"),
     Processor("AVX-512, MKL compatible", "AVX512", "avx512", "MKL_CBWR=COMPATIBLE", "x86-64-v4"),
-    Processor("another maker's, AVX2", "AVX2", "avx2", "", "x86-64-v3", foreign=True),
-    Processor("another maker's, AVX-512", "AVX512", "avx512", "", "x86-64-v4", foreign=True),
+    Processor("AVX2, MKL reproducible", "AVX2", "avx2", "MKL_CBWR=AVX2", "x86-64-v3"),
+    Processor("oldest, MKL compatible", "DEFAULT", "default", "MKL_CBWR=COMPATIBLE", "x86-64-v2"),
+    Processor("another maker's, AVX-512", "AVX512", "avx512", "", "x86-64-v4", "another"),
+    Processor("another maker's, AVX2", "AVX2", "avx2", "", "x86-64-v3", "another"),
+    Processor("another maker's, SSE4.2", "DEFAULT", "default", "", "x86-64-v2", "another"),
 )
-SHORT = ("AVX2, MKL reproducible", "oldest, MKL compatible", "another maker's, AVX2")
+SHORT = ("Intel's, AVX2", "oldest, MKL compatible", "another maker's, AVX2")
 
 
 def missing(processor: Processor) -> str:
@@ -61,7 +62,7 @@ def missing(processor: Processor) -> str:
     real = torch.backends.cpu.get_cpu_capability()
     if real in LEVELS and LEVELS.index(processor.level) > LEVELS.index(real):
         return f"this processor has no {processor.level}"
-    if processor.foreign:
+    if processor.maker:
         if shutil.which("cc") is None:
             return "there is no C compiler"
         try:
@@ -87,9 +88,9 @@ def environment(processor: Processor, directory: Path) -> dict[str, str]:
     if processor.mkl:
         name, _, value = processor.mkl.partition("=")
         found[name] = value
-    if processor.foreign:
+    if processor.maker:
         source, library = directory / f"{slug}.c", directory / f"{slug}.so"
-        source.write_text(ANSWERS + "\n")
+        source.write_text(ANSWERS.format(int(processor.maker == "intel")) + "\n")
         subprocess.run(["cc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
         found["LD_PRELOAD"] = str(library)
     return found

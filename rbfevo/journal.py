@@ -92,7 +92,8 @@ class Journal:
         try:
             if self._offset and not self._path.exists():
                 shutil.copyfile(self.directory / HISTORY, self._path)
-            with os.fdopen(os.open(self._path, os.O_RDWR | os.O_CREAT, 0o644), "r+b") as file:
+            flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0)  # Windows changes line ends without it
+            with os.fdopen(os.open(self._path, flags, 0o644), "r+b") as file:
                 file.truncate(self._offset)
                 file.seek(self._offset)
                 file.write(self._pending)

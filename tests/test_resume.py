@@ -117,6 +117,21 @@ def uninterrupted(tmp_path_factory):
     return give
 
 
+@pytest.mark.parametrize("name", list(METHODS))
+def test_results_do_not_depend_on_the_number_of_threads(name, uninterrupted, tmp_path):
+    """Rests on: threads share slices of a population, and each operation on small matrices has one of them."""
+    once = uninterrupted(name)
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        assert run.carry_out(settings(name, None), tmp_path) == 0
+    finally:
+        torch.set_num_threads(before)
+    here, there = arrays(once), arrays(tmp_path)
+    assert all(np.array_equal(here[key], there[key], equal_nan=here[key].dtype.kind == "f") for key in here)
+    assert history(once) == history(tmp_path)
+
+
 @pytest.mark.parametrize(("name", "steps"), [(name, k) for name, last in STEPS.items() for k in range(1, last + 1, 2)])
 def test_a_killed_run_ends_as_if_it_had_not_been(name, steps, uninterrupted, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
