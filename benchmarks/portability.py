@@ -60,6 +60,7 @@ FEW = ("matrices", "gram", "evaluator", "gradients", "mirrored", "cmaes")
 class Outcome(NamedTuple):
     """One run of the tests; `note` names the first failures, or says why there was no run."""
 
+    machine: str
     processor: str
     threads: int
     torch: str
@@ -77,7 +78,7 @@ def tested(processor: Processor, threads: int, tests: Sequence[str], directory: 
     described = (processor.torch, mkl, processor.numba)
     reason = missing(processor)
     if reason:
-        return Outcome(processor.name, threads, *described, 0, 0, 0.0, f"not run: {reason}")
+        return Outcome(described_here(), processor.name, threads, *described, 0, 0, 0.0, f"not run: {reason}")
     files = [f"tests/test_{name}.py" for name in tests]
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--no-header", "--tb=no", *files]
     settings = {"OMP_NUM_THREADS": str(threads), "RBFEVO_TEST_THREADS": str(threads), "CUDA_VISIBLE_DEVICES": ""}
@@ -97,7 +98,9 @@ def tested(processor: Processor, threads: int, tests: Sequence[str], directory: 
     if done.returncode not in (0, 1) or not counts.get("passed"):
         note = " ".join((done.stdout + done.stderr).split())[-200:] or f"exit code {done.returncode}"
     failed = counts.get("failed", 0) + counts.get("error", 0) + (done.returncode not in (0, 1))
-    return Outcome(processor.name, threads, *described, counts.get("passed", 0), failed, round(seconds, 1), note)
+    return Outcome(
+        described_here(), processor.name, threads, *described, counts.get("passed", 0), failed, round(seconds, 1), note
+    )
 
 
 def described_here() -> str:
@@ -109,12 +112,17 @@ def described_here() -> str:
     return f"{name}, {torch.backends.cpu.get_cpu_capability()}"
 
 
-def written(path: Path, rows: Sequence[NamedTuple]) -> None:
-    """Write rows of one kind as CSV."""
+def written(path: Path, outcomes: Sequence[Outcome]) -> None:
+    """Write outcomes into the table, in place of those of the same machine, processor and threads."""
+    rows: dict[tuple[str, ...], tuple] = {}
+    if path.exists():
+        with path.open(newline="") as file:
+            rows = {tuple(row[:3]): tuple(row) for row in list(csv.reader(file))[1:]}
+    rows |= {(o.machine, o.processor, str(o.threads)): o for o in outcomes if not o.note.startswith("not run")}
     with path.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(rows[0]._fields)
-        writer.writerows(rows)
+        writer.writerow(Outcome._fields)
+        writer.writerows(rows.values())
 
 
 def main() -> int:
@@ -146,13 +154,13 @@ def main() -> int:
                     outcomes.append(outcome)
                     numbers = f"{outcome.passed:7}  {outcome.failed:6}  {outcome.seconds:7.1f}"
                     print(f"{outcome.processor:26} {count:7}  {numbers}  {outcome.note}", flush=True)
-        if whole:
+        if not arguments.short:
             written(OUTPUT, outcomes)
         if not (arguments.short or arguments.no_spread):
             lines = spread.measured([p for p in chosen if not missing(p)], directory)
             print("\n" + spread.table(lines), flush=True)
             if whole:
-                written(spread.OUTPUT, lines)
+                spread.written(lines)
     ran = [outcome for outcome in outcomes if not outcome.note.startswith("not run")]
     return int(not ran or any(outcome.failed for outcome in ran))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 import subprocess
 import sys
@@ -143,6 +144,14 @@ def table(lines: Sequence[Line]) -> str:
             f"{what:44} {worst.largest:8.1e} {unit:20} ({worst.processor}; same bits on {same} of {len(these)})"
         )
     return "\n".join(rows)
+
+
+def written(lines: Sequence[Line]) -> None:
+    """Write the differences as CSV."""
+    with OUTPUT.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(Line._fields)
+        writer.writerows(lines)
 
 
 if __name__ == "__main__":

@@ -39,8 +39,6 @@ def changes_since(saved: dict[str, Any], facts: dict[str, Any]) -> list[str]:
     changed = [
         f"{name} {before[name]} then, {now[name]} now" for name in now if before.get(name, now[name]) != now[name]
     ]
-    if saved.get("threads") not in (None, facts["threads"]):
-        changed.append(f"{saved['threads']} threads then, {facts['threads']} now")
     return (
         [f"resumed with {'; '.join(changed)}: last digits may differ from those of a run in one piece"]
         if changed

@@ -10,10 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
-_workers: int | None = None
-_entered = 0
-_entering = threading.Lock()
-_place = threading.local()
+_place = threading.local()  # threads: how many the caller of `coarse` in this thread had
 
 
 @functools.cache
@@ -27,12 +24,14 @@ def run_in_slices(work: Callable[[int, int], None], count: int) -> None:
     Every element's result must not depend on the slice that it falls in. Within a slice, further slices are not cut.
     """
     with coarse() as threads:
-        if threads == 1 or count <= 1 or getattr(_place, "within", False):
+        if threads == 1 or count <= 1:
             work(0, count)
             return
 
         def piece(begin: int, end: int) -> None:
-            _place.within = True  # what waits for the pool from within it might wait for ever
+            if not hasattr(_place, "threads"):  # a thread of the pool, which never has more than one
+                torch.set_num_threads(1)
+                _place.threads = 1
             work(begin, end)
 
         step = max(1, -(-count // (4 * threads)))
@@ -47,21 +46,16 @@ def coarse() -> Iterator[int]:
 
     The operations of a generation are so small that waking threads for each of them costs more than it brings, and on
     a busy machine many times more. And an operation that threads share may round by how it is cut between them: so
-    whatever has to be the same for any number of threads, and for any batch, runs inside. The first to enter, from
-    whatever thread, notes torch's number of threads, and the last to leave restores it.
+    whatever has to be the same for any number of threads, and for any batch, runs inside. Torch and MKL count the
+    threads of an operation for each thread that calls it: so does this.
     """
-    global _entered, _workers
-    with _entering:
-        if not _entered:
-            _workers = torch.get_num_threads()
-            torch.set_num_threads(1)
-        _entered += 1
-        threads = _workers or 1
+    if hasattr(_place, "threads"):
+        yield _place.threads
+        return
+    threads = _place.threads = torch.get_num_threads()
+    torch.set_num_threads(1)
     try:
         yield threads
     finally:
-        with _entering:
-            _entered -= 1
-            if not _entered:
-                torch.set_num_threads(threads)
-                _workers = None
+        del _place.threads
+        torch.set_num_threads(threads)

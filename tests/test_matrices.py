@@ -6,7 +6,10 @@ LAPACK then do the same for the same numbers. `scripts/portability` runs this on
 
 from __future__ import annotations
 
+import ctypes
+import threading
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +25,7 @@ from rbfevo.evolvability import evolvability
 from rbfevo.gradients import Spectrum
 from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland
 from rbfevo.methods.cmaes import CMAES
-from rbfevo.threads import coarse
+from rbfevo.threads import coarse, run_in_slices
 
 SIZES = range(1, 27)
 COUNT = 9  # as many as there are places of a float64 in a cache line, and one more
@@ -245,4 +248,31 @@ def test_the_threads_are_left_as_they_were_found() -> None:
         raise RuntimeError("stopped")
     assert torch.get_num_threads() == 2
     matrices.product(square(5)[None], square(5)[None])
+    assert torch.get_num_threads() == 2
+
+
+def test_every_thread_has_one_thread_of_mkl() -> None:
+    """Torch and MKL count threads for each thread that calls them, and MKL's first call in one may take them all."""
+    library = ctypes.CDLL(str(Path(torch.__file__).parent / "lib" / "libtorch_cpu.so"))
+    if not hasattr(library, "mkl_serv_get_max_threads"):
+        pytest.skip("this torch has no MKL that could be asked")
+    torch.set_num_threads(2)
+    found: list[tuple[int, bool]] = []
+
+    def work(begin: int, end: int) -> None:
+        found.append((library.mkl_serv_get_max_threads(), threading.current_thread() is threading.main_thread()))
+
+    def elsewhere() -> None:
+        torch.set_num_threads(2)
+        with coarse():
+            work(0, 1)
+
+    run_in_slices(work, 16)
+    assert [count for count, _ in found] == [1] * 8
+    assert not any(main for _, main in found)
+    with coarse():
+        thread = threading.Thread(target=elsewhere)
+        thread.start()
+        thread.join()
+    assert found[8] == (1, False)
     assert torch.get_num_threads() == 2

@@ -244,7 +244,9 @@ def test_other_versions_are_told(half):
     checkpoint.save(half, state | {"versions": {**state["versions"], "torch": "1.0"}, "threads": 7})
     run.carry_out(settings("nsga2"), half, resume=True)
     (warning,) = counted(half)["warnings"]
-    assert warning.startswith(f"resumed with torch 1.0 then, {torch.__version__} now; 7 threads then, {torch.get_num_threads()} now")
+    assert warning == (
+        f"resumed with torch 1.0 then, {torch.__version__} now: last digits may differ from those of a run in one piece"
+    )  # the number of threads is no reason
 
 
 def test_a_changed_design_is_refused(half, monkeypatch):
