@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rbfevo import commands, exchange
+from rbfevo import commands, meshes
 from rbfevo.columns import Setup, setup
 from rbfevo.errors import UserError
 from rbfevo.exchange.tables import read_rows
@@ -22,8 +22,8 @@ DESCRIPTION = """Deform a mesh with the control points of one setup of a run.
 You say how far each control point moves (--displacements, in the unit of the mesh), as in the displacements.csv that
 python -m rbfevo.export writes; every point of the mesh follows. The mesh can be the template of the run or any other
 one in the same place and unit: a finer surface, a volume mesh, a cloud. All else in its file is kept."""
-EPILOG = f"""Meshes: {", ".join(ending[1:] for ending in exchange.ENDINGS)}.
-The ending of --out is that of --mesh, or one of {", ".join(exchange.CONVERSIONS)}."""
+EPILOG = f"""Meshes: {", ".join(ending[1:] for ending in meshes.ENDINGS)}.
+The ending of --out is that of --mesh, or one of {", ".join(meshes.CONVERSIONS)}."""
 
 
 def parser() -> commands.Parser:
@@ -40,6 +40,7 @@ def parser() -> commands.Parser:
     what.add_argument("--weights", type=Path, metavar="FILE", help="the same for the RBF weights, center,wx,wy,wz")
     made.add_argument("--mesh", type=Path, required=True, metavar="FILE", help="what to deform")
     made.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the deformed mesh goes")
+    made.add_argument("--force", action="store_true", help="write a volume mesh even if cells of it turn inside out")
     made.add_argument("--overwrite", action="store_true", help="replace --out if it is there")
     made.add_argument("--quiet", action="store_true", help="say nothing but warnings")
     return made
@@ -67,21 +68,25 @@ def carry_out(options: argparse.Namespace) -> None:
         chosen.refuse_across(rows, what.removesuffix("s"))
     except UserError as error:
         raise UserError(f"--{what} {path}: {error}") from None
-    with np.errstate(over="ignore", invalid="ignore"), exchange.opened(options.mesh) as mesh:
+    with np.errstate(over="ignore", invalid="ignore"), meshes.opened(options.mesh) as mesh:
+        meshes.refuse_bad_points(options.mesh, mesh.points)
         weights = rows if what == "weights" else chosen.weights(rows)
         displacement = chosen.displacement(mesh.points[:, : chosen.centers.shape[1]], weights)
         moved = mesh.points + displacement
         if not np.isfinite(moved).all():
             raise UserError(f"--{what} {path}: with such large numbers the deformed points are not finite")
-        if mesh.dimension == 2 and options.out.suffix.lower() not in exchange.CONVERSIONS and displacement[:, 2].any():
+        if mesh.dimension == 2 and options.out.suffix.lower() not in meshes.CONVERSIONS and displacement[:, 2].any():
             raise UserError(
                 f"{options.mesh}: its points have no z, along which they are to move; choose --out FILE.vtu"
             )
-        notes = exchange.write(mesh, options.mesh, moved, displacement, options.out)
+        turned = inverted(mesh, moved)
+        if turned and not options.force:
+            raise UserError(f"{options.mesh}: {turned}, or add --force")
+        notes = meshes.write(mesh, options.mesh, moved, displacement, options.out)
         centers = rows if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
         largest = float(np.linalg.norm(centers, axis=1).max())
-        for warning in warnings(record, chosen, mesh, moved, length, largest):
+        for warning in [*warnings(record, chosen, mesh, moved, length, largest), *([turned] if turned else [])]:
             print(f"warning: {warning}", file=sys.stderr, flush=True)
     if not options.quiet:
         for note in notes:
@@ -92,7 +97,7 @@ def carry_out(options: argparse.Namespace) -> None:
 
 def refuse_out(options: argparse.Namespace) -> None:
     """Raise UserError if the result cannot go where it is to go."""
-    exchange.refuse_ending(options.mesh, options.out)
+    meshes.refuse_ending(options.mesh, options.out)
     if options.out.exists() and not options.overwrite:
         raise UserError(f"--out {options.out} is there already: choose another one, or add --overwrite")
     if options.out.is_dir():
@@ -102,7 +107,7 @@ def refuse_out(options: argparse.Namespace) -> None:
 
 
 def warnings(
-    record: Record, chosen: Setup, mesh: exchange.Mesh, moved: Array, length: Array, largest: float
+    record: Record, chosen: Setup, mesh: meshes.Mesh, moved: Array, length: Array, largest: float
 ) -> Iterator[str]:
     """What may be wrong with a deformation, a line each: length [q] of the displacements, largest of a center."""
     places = mesh.points[:, : chosen.centers.shape[1]]
@@ -130,15 +135,28 @@ def warnings(
                 f"move by more than {100 * FAR:g} % of the largest displacement of a center, at most by "
                 f"{length[far].max():.4g}"
             )
-    if mesh.triangles is not None:
-        turned = int((_dots(mesh.points, moved, mesh.triangles) < 0).sum())
-        if turned:
-            yield f"{turned} of {len(mesh.triangles)} triangles turn by more than 90 degrees: the surface may fold over"
-    if mesh.tetrahedra is not None:
-        before, after = _volumes(mesh.points, mesh.tetrahedra), _volumes(moved, mesh.tetrahedra)
-        inverted = int(((before * after < 0) | ((before != 0) & (after == 0))).sum())
-        if inverted:
-            yield f"{inverted} of {len(mesh.tetrahedra)} tetrahedra are inverted or flat: this volume mesh is unusable"
+    triangles = meshes.cells.surface(mesh.points, mesh.cells).triangles
+    turned = int((_dots(mesh.points, moved, triangles) < 0).sum())
+    if turned:
+        yield f"{turned} of {len(triangles)} triangles turn by more than 90 degrees: the surface may fold over"
+
+
+def inverted(mesh: meshes.Mesh, moved: Array) -> str:
+    """How many cells of a volume mesh a move turns inside out, and how far it may go; empty if it is none."""
+    found = meshes.cells.volumes(mesh.points, moved, mesh.cells)
+    said, share = [], 1.0
+    for volumes in found:
+        bad = (volumes.before != 0) & (volumes.before * volumes.after <= 0)
+        if bad.any():
+            worst = float((volumes.after[bad] / volumes.before[bad]).min()) + 0.0  # no -0
+            share = min(share, volumes.share)
+            said.append(f"{int(bad.sum())} of {len(bad)} {volumes.name} (the worst to {worst:.3g} times its volume)")
+    if not said:
+        return ""
+    return (
+        f"the move turns {', '.join(said)} inside out or flat, so that no solver can use the mesh; displacements "
+        f"{share:.3g} times as large are the limit"
+    )
 
 
 def _boxes(record: Record, lowest: Array, highest: Array) -> str:
@@ -155,12 +173,6 @@ def _dots(before: Array, after: Array, triangles: Array) -> Array:
         for p in (before, after)
     ]
     return (areas[0] * areas[1]).sum(axis=1)
-
-
-def _volumes(points: Array, tetrahedra: Array) -> Array:
-    """Six times the signed volumes [t]."""
-    a, b, c, d = np.moveaxis(points[tetrahedra], 1, 0)
-    return (np.cross(b - a, c - a) * (d - a)).sum(axis=1)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,9 +19,8 @@ from test_columns import MIRRORS, field
 from test_exchange import CUBE, tetrahedra
 from test_export import CASES, a_run, spatial
 
-from rbfevo import apply, export
-from rbfevo.columns import setup
-from rbfevo.picks import pick
+from rbfevo import apply, export, meshes
+from rbfevo.meshes.mesh import Cells, Faces
 from rbfevo.record import Record, read
 
 
@@ -165,7 +166,14 @@ def test_inverted_triangles_and_tetrahedra(tmp_path: Path, capsys: pytest.Captur
     assert line.startswith(f"{turned} of 320 triangles turn by more than 90 degrees")
     grid: Any = pyvista.PolyData(record.centers[0]).delaunay_3d()
     grid.save(tmp_path / "a.vtu")
-    (line,) = warned(run, tmp_path / "a.vtu", 30 * rows, capsys)
+    np.save(tmp_path / "rows.npy", 30 * rows)
+    words = ["--displacements", str(tmp_path / "rows.npy"), "--mesh", str(tmp_path / "a.vtu"), "--quiet"]
+    words = [str(run), "--pick", "index:0", *words, "--out", str(tmp_path / "deformed.vtu")]
+    assert apply.main(words) == 2
+    refused = capsys.readouterr().err
+    assert not (tmp_path / "deformed.vtu").exists()
+    assert apply.main([*words, "--force"]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
     corners = grid.cells.reshape(-1, 5)[:, 1:]
     volumes = [
         np.linalg.det(places[corners][:, 1:] - places[corners][:, :1])
@@ -173,7 +181,14 @@ def test_inverted_triangles_and_tetrahedra(tmp_path: Path, capsys: pytest.Captur
     ]
     inverted = int((np.sign(volumes[0]) != np.sign(volumes[1])).sum())
     assert inverted > 0
-    assert line.startswith(f"{inverted} of {len(corners)} tetrahedra are inverted or flat")
+    said = f"the move turns {inverted} of {len(corners)} tetrahedra (the worst to"
+    assert line.startswith(f"warning: {said}")
+    assert said in refused
+    assert refused.endswith("or add --force\n")
+    limit = float(re.search(r"([\d.e-]+) times as large are the limit", refused)[1])  # pyright: ignore[reportOptionalSubscript]
+    for share, code in ((0.999 * limit, 0), (1.02 * limit, 2)):
+        np.save(tmp_path / "rows.npy", share * 30 * rows)
+        assert apply.main([*words, "--overwrite"]) == code
 
 
 # --- mistakes --------------------------------------------------------------------------------------------------------
@@ -188,7 +203,7 @@ MISTAKES = {
     GIVEN.replace("ROWS", "PLACE/gone.csv"): "--displacements PLACE/gone.csv: no such file",
     GIVEN.replace("ROWS", "MESH"): "there are 6 centers: [6, 3] is expected",
     GIVEN.replace("MESH", "PLACE/gone.obj").replace("OUT", "PLACE/b.obj"): "gone.obj: no such file",
-    GIVEN.replace("MESH", "PLACE/gone.docx").replace("OUT", "PLACE/b.docx"): "unknown ending '.docx'",
+    GIVEN.replace("MESH", "PLACE/a.docx").replace("OUT", "PLACE/b.docx"): "unknown ending '.docx'",
     GIVEN.replace("MESH", "PLACE/nan.npy"): "1 of 2 points have coordinates that are not finite",
     GIVEN.replace("OUT", "PLACE/b.ply"): "choose the ending of the mesh, .npy, or one of .vtp, .vtu, .vtk",
     GIVEN.replace("OUT", "MESH"): "is there already: choose another one, or add --overwrite",
@@ -201,6 +216,7 @@ def test_a_mistake_is_one_clear_line(words: str, tmp_path: Path, capsys: pytest.
     run = a_run(tmp_path / "run")
     np.save(tmp_path / "mesh.npy", points_of(3))
     np.save(tmp_path / "rows.npy", np.zeros((6, 3)))
+    (tmp_path / "a.docx").touch()
     np.save(tmp_path / "nan.npy", [[1.0, 2, 3], [np.nan, 2, 3]])
     places = {"RUN": run, "ROWS": "rows.npy", "MESH": "mesh.npy", "OUT": "out.npy", "PLACE": ""}
     before = sorted(tmp_path.rglob("*"))
@@ -286,23 +302,58 @@ def test_apply_takes_what_export_wrote_for_centers_on_the_plane(
     np.testing.assert_allclose(one, other, rtol=0, atol=1e-8)
 
 
-def test_tetrahedra_that_become_flat_are_counted(tmp_path: Path) -> None:
-    run = a_run(tmp_path / "run")
-    record = read(run)
-    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1.0], [1, 1, 0]])
-    cells = np.array([[0, 1, 2, 3], [0, 2, 1, 4], [0, 1, 5, 2]])  # the last one is flat from the start
-    moved = points.copy()
-    moved[3, 2] = 0.0
+SOLIDS = {
+    10: [[0, 1, 2, 4]],
+    11: [[0, 1, 3, 2, 4, 5, 7, 6]],
+    12: [list(range(8))],
+    13: [[0, 1, 3, 4, 5, 7]],
+    14: [[0, 1, 2, 3, 4]],
+}
+NAMES = {10: "tetrahedra", 11: "voxels", 12: "hexahedra", 13: "wedges", 14: "pyramids", 42: "polyhedra"}
+BOX = np.array([[x, y, z] for z in (0.0, 1.0) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1))])
+SIDES = [[0, 3, 2, 1], [4, 5, 6, 7], [0, 1, 5, 4], [2, 1, 5, 6], [2, 3, 7, 6], [3, 0, 4, 7]]  # one wound inwards
 
-    class Volume:
-        triangles, tetrahedra = None, cells
 
-    volume: Any = Volume()
-    volume.points = points
-    chosen = setup(record, pick(record, "index:0"))
-    (line,) = apply.warnings(record, chosen, volume, moved, np.zeros(6), 1.0)
-    assert line.startswith("1 of 3 tetrahedra are inverted or flat")
-    moved[3, 2] = -0.5
-    (line,) = apply.warnings(record, chosen, volume, moved, np.zeros(6), 1.0)
-    assert line.startswith("1 of 3 tetrahedra")
-    assert list(apply.warnings(record, chosen, volume, points, np.zeros(6), 1.0)) == []
+def solid(kind: int) -> meshes.Mesh:
+    """A box, or a part of it, as one cell of a kind, beside a triangle."""
+    if kind == 42:
+        faces = Faces(np.zeros(6, np.int64), np.full(6, 4), np.array(SIDES).ravel())
+        cells = Cells(np.array([42], np.uint8), np.array([8]), np.arange(8), faces)
+    else:
+        cells = Cells.of([kind, 5], [*SOLIDS[kind], [0, 1, 2]])
+    return meshes.Mesh(BOX, lambda *_: [], cells)
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_solids_of_every_kind_that_turn_inside_out_are_counted(kind: int) -> None:
+    mesh = solid(kind)
+    assert apply.inverted(mesh, BOX * [2.0, 3.0, 0.01]) == ""
+    assert apply.inverted(mesh, BOX * [1.0, 1.0, -0.5]) == (
+        f"the move turns 1 of 1 {NAMES[kind]} (the worst to -0.5 times its volume) inside out or flat, so that no "
+        "solver "
+        "can use the mesh; displacements 0.667 times as large are the limit"
+    )
+    assert f"1 of 1 {NAMES[kind]} (the worst to 0 times" in apply.inverted(mesh, BOX * [1.0, 1.0, 0.0])
+    turned = BOX[:, [1, 0, 2]] * [-1.0, 1.0, 1.0]
+    assert apply.inverted(mesh, turned) == ""  # a quarter turn about z
+    ((_, before, after, share),) = meshes.cells.volumes(BOX, BOX * 2.0, mesh.cells)
+    expected = {10: 1 / 6, 13: 1 / 2, 14: 1 / 3}.get(kind, 1.0)
+    assert abs(before[0]) == pytest.approx(expected)
+    assert after[0] == pytest.approx(8.0 * before[0])
+    assert share == 1.0
+
+
+def test_a_hexahedron_with_one_corner_pulled_through_is_measured_by_its_bilinear_faces() -> None:
+    """Against the volume of the trilinear cell by Gauss' quadrature."""
+    moved = BOX.copy()
+    moved[6] = [-0.5, -0.4, -0.9]
+    at = np.array([0.5 - np.sqrt(0.15), 0.5, 0.5 + np.sqrt(0.15)])
+    weight = np.array([5, 8, 5]) / 18
+    total = 0.0
+    for (x, u), (y, v), (z, w) in itertools.product(zip(at, weight, strict=True), repeat=3):
+        lines = [((1 - x, x), (-1, 1)), ((1 - y, y), (-1, 1)), ((1 - z, z), (-1, 1))]
+        place = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)]
+        slopes = [[np.prod([lines[k][k == d][i[k]] for k in range(3)]) for i in place] for d in range(3)]
+        total += u * v * w * np.linalg.det(np.array(slopes) @ moved)
+    ((_, _, after, _),) = meshes.cells.volumes(BOX, moved, solid(12).cells)
+    assert after[0] == pytest.approx(total)

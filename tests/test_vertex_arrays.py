@@ -9,14 +9,19 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from rbfevo.errors import UserError
+from rbfevo.scenarios import vertex_arrays
 from rbfevo.scenarios.templates import Template
-from rbfevo.scenarios.vertex_arrays import ENDINGS, vertex_array
+from rbfevo.scenarios.vertex_arrays import ENDINGS
 
 POINTS = np.array([[0.0, 0, 0], [9, 9, 9], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]])
 ROWS = np.array([0, 2, 3, 4])
 VALUES = np.array([1.5, -7.0, 2.5, -3.0, 4e-3])
 VECTORS = np.arange(15.0).reshape(5, 3) - 0.25
 PICKED = VALUES[ROWS]
+
+
+def vertex_array(source: str, of: Template, what: str, **how: str) -> np.ndarray:
+    return vertex_arrays.vertex_array(source, of, what, **how).values
 
 
 def template(**changes) -> Template:
@@ -28,7 +33,8 @@ def template(**changes) -> Template:
         "rows": ROWS,
         "count": 5,
         "notes": {},
-        "cell_arrays": ("stress",),
+        "cell_arrays": {"stress": np.array([4.0, 8.0])},
+        "cell": np.array([0, 1]),
     }
     return Template(**(settled | changes))
 
@@ -80,7 +86,7 @@ SCALARS = {
     "header.csv": lines("pressure", VALUES),
     "bare.txt": lines("", VALUES).replace("\n", "\r\n"),
     "id.csv": lines("Point ID,pressure", np.arange(5), VALUES),
-    "semicolon.csv": lines("node;p", np.arange(5) * 10, VALUES, between=";"),
+    "semicolon.csv": lines("node;p", np.arange(5) + 1, VALUES, between=";"),
     "decimal_comma.csv": lines("id;p", np.arange(5), VALUES, between=";").replace(".", ","),
     "space.txt": lines("id value", np.arange(5), VALUES, between=" "),
     "xyz.csv": lines("x,y,z,value", *COORDINATES, VALUES),
@@ -107,7 +113,7 @@ def test_a_number_for_each_point(tmp_path, name):
 VECTOR_TABLES = {
     "bare.csv": lines("", *VECTORS.T),
     "header.csv": lines("sx,sy,sz", *VECTORS.T),
-    "xyz.csv": lines("x,y,z", *VECTORS.T),
+    "xyz.csv": lines("sens[x],sens[y],sens[z]", *VECTORS.T),
     "paraview.csv": lines(
         '"Point ID","s:0","s:1","s:2","s:Magnitude","Points:0","Points:1","Points:2"',
         np.arange(5),
@@ -146,7 +152,87 @@ def test_unknown_name():
 
 
 def test_cell_array():
-    assert "is a cell array; convert it to point data first" in refusal("stress", "fixed")
+    """Two triangles of equal area, values 4 and 8: shared by thirds, averaged by area, or marked where not 0."""
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    square = template(vertices=vertices)
+    third = np.array([12, 4, 12, 8]) / 3
+    np.testing.assert_allclose(vertex_array("stress", square, "sensitivity", kind="nodal"), third)
+    np.testing.assert_allclose(vertex_array("stress", square, "sensitivity", kind="density"), [6, 4, 6, 8])
+    marks = template(vertices=vertices, cell_arrays={"hold": np.array([0.0, -1.0])})
+    assert (vertex_array("hold", marks, "fixed", kind="marks") > 0).tolist() == [True, False, True, True]
+    # A quadrilateral cut in two: its value is shared as its area is.
+    cut = template(vertices=vertices, cell_arrays={"force": np.array([6.0])}, cell=np.array([0, 0]))
+    np.testing.assert_allclose(vertex_array("force", cut, "sensitivity", kind="nodal"), [2, 1, 2, 1])
+    inner = template(cell=np.array([-1, -1]))
+    assert "belongs to the cells of a volume" in refusal("stress", of=inner)
+
+
+def test_rows_in_any_order_are_matched(tmp_path):
+    """By coordinates, also with rows to spare, and by ids from 0, from 1 or as the file has them."""
+    order = np.array([3, 0, 4, 2, 1])
+    for name, header, columns in (
+        ("xyz.csv", "x,y,z,v", (*POINTS[order].T, VALUES[order])),
+        ("id.csv", "PointID,v", (order, VALUES[order])),
+        ("id1.csv", "Node Number,v", (order + 1, VALUES[order])),
+    ):
+        np.testing.assert_array_equal(
+            vertex_array(write(tmp_path, name, lines(header, *columns)), template(), "sensitivity"), PICKED
+        )
+    numbered = template(numbers=np.array([7, 3, 40, 12, 9]))
+    table = lines("id,v", np.array([9, 7, 1, 12, 40]), np.array([4.0, 1.0, 99.0, 3.0, 2.0]))
+    found = vertex_array(write(tmp_path, "own.csv", table), numbered, "sensitivity")
+    np.testing.assert_array_equal(found, [1.0, 2.0, 3.0, 4.0])
+    spare = np.concatenate([[[5.0, 5, 5]], POINTS[order]])
+    table = lines("x,y,z,v", *spare.T, np.concatenate([[99.0], VALUES[order]]))
+    np.testing.assert_array_equal(vertex_array(write(tmp_path, "more.csv", table), template(), "sensitivity"), PICKED)
+    table = lines("id,v", np.arange(7), np.arange(7.0))
+    assert "from 0 or from 1" in refusal(write(tmp_path, "both.csv", table))
+
+
+def test_values_of_another_mesh_are_taken_on_request(tmp_path):
+    """The nearest row's, or between rows; a table of another unit or another place is asked about or refused."""
+    grid = np.stack(np.meshgrid(np.linspace(0, 1, 21), np.linspace(0, 1, 21)), -1).reshape(-1, 2)
+    places = np.column_stack([grid, np.zeros(len(grid))])
+    flat = template(
+        vertices=np.array([[0.01, 0.02, 0], [1, 0, 0], [0.503, 1, 0], [0, 0.777, 0]]), count=4, rows=np.arange(4)
+    )
+
+    def slope(points):
+        return 2.0 * points[:, 0] - points[:, 1] + 3.0
+
+    path = write(tmp_path, "fine.csv", lines("x,y,z,v", *places.T, slope(places)))
+    assert "scenario.sensitivity_match=nearest or interpolate" in refusal(path, of=flat)
+    found = vertex_arrays.vertex_array(path, flat, "sensitivity", "interpolate")
+    np.testing.assert_allclose(found.values, slope(flat.vertices), atol=1e-2)
+    assert found.other_mesh
+    nearest = vertex_arrays.vertex_array(path, flat, "sensitivity", "nearest")
+    assert nearest.values.tolist() == pytest.approx([3.0, 5.0, 3.0, 2.2])
+    assert "largest distance 0.023" in nearest.note
+    path = write(tmp_path, "mm.csv", lines("x,y,z,v", *(1000 * places).T, slope(places)))
+    for match in ("exact", "interpolate"):
+        with pytest.raises(UserError, match="1000 times the mesh's: another unit"):
+            vertex_arrays.vertex_array(path, flat, "sensitivity", match)
+    path = write(tmp_path, "far.csv", lines("x,y,z,v", *(places * [0.6, 1, 1]).T, slope(places)))
+    with pytest.raises(UserError, match="not of the same surface, or of a part of it"):
+        vertex_arrays.vertex_array(path, flat, "sensitivity", "nearest")
+
+
+def test_zeros_beside_values_are_asked_about(tmp_path):
+    columns = (np.arange(5), *np.zeros((3, 5)), VALUES)
+    path = write(
+        tmp_path, "z.csv", lines("PointID,Sensitivity_x,Sensitivity_y,Sensitivity_z,Surface_Sensitivity", *columns)
+    )
+    assert "Sensitivity_z is zero in every row, Surface_Sensitivity is not" in refusal(path)
+
+
+def test_columns_without_names_are_taken_only_where_they_can_be_one_thing(tmp_path):
+    assert "no vector" in refusal(write(tmp_path, "a.csv", lines("", POINTS[:, 0], POINTS[:, 1], VALUES)))
+    assert "only the coordinates" in refusal(write(tmp_path, "b.csv", lines("", *POINTS.T)))
+    path = write(tmp_path, "c.csv", lines("", *POINTS[::-1].T, VALUES[::-1]))
+    np.testing.assert_array_equal(vertex_array(path, template(), "sensitivity"), PICKED)
+    path = write(tmp_path, "d.csv", lines("", *POINTS.T, *VECTORS.T))
+    np.testing.assert_array_equal(vertex_array(path, template(), "sensitivity"), VECTORS[ROWS])
+    assert "5 columns without names" in refusal(write(tmp_path, "e.csv", lines("", *POINTS.T, VALUES, VALUES)))
 
 
 def test_no_such_file(tmp_path, monkeypatch):
@@ -155,7 +241,7 @@ def test_no_such_file(tmp_path, monkeypatch):
     assert refusal("gone.csv") == refusal("some/gone") == "no such file"
     assert "is a directory" in refusal("folder.csv")
     assert ".npy" in refusal(write(tmp_path, "values.xlsx", "x"))
-    assert "no such point array" in refusal("a\0b")
+    assert "no such array" in refusal("a\0b")
 
 
 def test_a_named_array_is_checked_as_well():
@@ -169,14 +255,17 @@ def test_a_named_array_is_checked_as_well():
         ("short.csv", lines("", VALUES[:3]), "it has 3 rows, but the mesh has 5 points (4 of them in triangles)"),
         ("long.npy", np.zeros((6, 3)), "it has 6 rows, but the mesh has 5 points"),
         ("two.csv", lines("", VALUES, VALUES), "it has 2 columns"),
-        ("named.csv", lines("id,a,b", VALUES.argsort().argsort(), VALUES, VALUES), "'id' column does not ascend"),
-        ("many.csv", lines("a,b", VALUES, VALUES), "2 columns of values (a, b); 1 or 3 are wanted, or name them sens"),
+        ("named.csv", lines("id,a,b", np.arange(5), VALUES, VALUES * 2), "2 columns or vectors of values (a; b)"),
+        ("many.csv", lines("a,b", VALUES, VALUES), "name the one that is meant sensitivity"),
         ("points.csv", lines("Points:0,Points:1,Points:2", *COORDINATES), "only ids and coordinates"),
         ("id.csv", lines("id", np.arange(5)), "only ids and coordinates"),
-        ("sorted.csv", lines("x,y,z,v", *POINTS[::-1].T, VALUES), "its coordinates differ from the mesh's at 3 of 4"),
+        ("moved.csv", lines("x,y,z,v", *(POINTS + 0.01).T, VALUES), "4 of 4 vertices have no row within 0.0001"),
+        ("ids.csv", lines("id,v", np.arange(5) * 3, VALUES), "'id' (0 to 12, 5 rows) does not hold the numbers"),
+        ("twice.csv", lines("id,v", np.array([0, 1, 2, 3, 3]), VALUES), "'id' holds 1 ids twice"),
+        ("places.csv", lines("x,y,z", *VECTORS.T), "it holds only ids and coordinates (x, y, z), no values"),
         ("nan.csv", lines("", np.where(VALUES < 0, np.nan, VALUES)), "1 of 4 vertices have values"),
         ("empty.csv", " \n", "the file is empty"),
-        ("header.csv", "a,b\n", "a header, but no lines with numbers"),
+        ("header.csv", "a,b\n", "there are no lines with numbers in it"),
         ("words.csv", "a\n1\n2\nthree\n4\n5\n", "not a readable CSV file"),
         ("ragged.txt", "1 2\n3\n", "not a readable TXT file"),
         ("cube.npy", np.zeros((5, 3, 1)), "it is of shape 5 x 3 x 1"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rbfevo.scenarios.contents import Points, Triangles
+from rbfevo.meshes.mesh import Points, Triangles
 
 _BLOCK, _ROUNDING = 200_000, 1e-12
 

@@ -40,7 +40,7 @@ def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor, mirror:
         UserError: for anything else, or if no vertex is fixed, or every one is.
     """
     if isinstance(value, str):
-        marks = vertex_array(value, template, "fixed")
+        marks = vertex_array(value, template, "fixed", kind="marks").values
         fixed = np.asarray((marks.reshape(len(marks), -1) != 0.0).any(axis=1), bool)
         low = high = None
     else:

@@ -17,6 +17,7 @@ from rbfevo.parameterization import Region
 from rbfevo.scenarios import fixing, placement, sensitivities, topology
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.correspondence import Points, Triangles
+from rbfevo.scenarios.matching import MATCHES
 from rbfevo.scenarios.pairing import REJECTIONS, Pairing, pair
 from rbfevo.scenarios.scenario import Sampler, Scenario, near_one, times_power_of_two, unit_gradient
 from rbfevo.scenarios.surfaces import checked_extent, read_surface
@@ -29,9 +30,11 @@ MIXED_UNITS = 20.0  # times as large: metres and millimetres, or inches and mill
 
 def mesh(
     template: str | None = None,
+    patches: Any = None,
     target: str | None = None,
     sensitivity: str | None = None,
     sensitivity_kind: str = "nodal",
+    sensitivity_match: str = "exact",
     objective: str = "minimize",
     target_scale: float | None = None,
     reject: str = "boundary",
@@ -49,10 +52,13 @@ def mesh(
 
     Args:
         template: a surface mesh as `read_template` takes it.
+        patches: names of the template's patches (markers, physical groups, element sets) to take; None for all.
         target: a mesh or cloud as `read_surface` takes it: vertices want to go to their closest points on it.
-        sensitivity: the name of a point array of the template, or a CSV, NPY or NPZ file: one value a vertex, taken
-            along its normal, or three.
+        sensitivity: the name of a point or cell array of the template, or a CSV, NPY or NPZ file: one value a vertex,
+            taken along its normal, or three.
         sensitivity_kind: `nodal` (integrated over a vertex's share of the surface) or `density` (per area).
+        sensitivity_match: `exact`: a table's rows are those of the template's points, in any order; `nearest` or
+            `interpolate`: of another mesh of the same surface, values per area then.
         objective: `minimize`: the design wants to move against the sensitivity; `maximize`: along it.
         target_scale: what the target is multiplied by; None is 1, but mixed units are asked about.
         reject: as for `face`.
@@ -71,7 +77,9 @@ def mesh(
     """
     _check(template, reject, margin, weights, search_vertices, up)
     sensitivities.check(sensitivity_kind, objective)
-    read = read_template(str(template))
+    if sensitivity_match not in MATCHES:
+        raise UserError(f"scenario.sensitivity_match={sensitivity_match}: choose one of {', '.join(MATCHES)}")
+    read = read_template(str(template), _names(patches))
     notes = {"template": f"{template}: {len(read.vertices)} vertices, {len(read.triangles)} triangles"} | read.notes
     if (target is None) == (sensitivity is None):
         raise UserError(_which(read, target is not None))
@@ -87,7 +95,14 @@ def mesh(
         wanted, stays = pairing.displacement, pairing.rejected
     else:
         pairing = None
-        values = vertex_array(str(sensitivity), read, "sensitivity")
+        given = vertex_array(str(sensitivity), read, "sensitivity", sensitivity_match, sensitivity_kind)
+        values = given.values
+        if given.other_mesh and sensitivity_kind == "nodal":
+            raise UserError(
+                f"scenario.sensitivity_match={sensitivity_match}: integrated values of another mesh depend on its "
+                "cells; "
+                "give values per area, with scenario.sensitivity_kind=density"
+            )
         if not np.any(values):
             raise UserError(f"scenario.sensitivity={sensitivity}: it is zero at every vertex: nothing wants to move")
         values, exponent = near_one(values)  # adjoint solvers have units of their own: they may be huge, or tiny
@@ -95,6 +110,7 @@ def mesh(
         stays = np.zeros(len(wanted), bool)
         warnings = _doubts(design, str(template), str(sensitivity), read, values)
         words = {"sensitivity": _convention(str(sensitivity), values, sensitivity_kind, objective)}
+        words["sensitivity rows"] = given.note
     notes |= words
     region: Region | None = None
     if fixed is not None:
@@ -158,6 +174,16 @@ class _Design:
         areas = topology.vertex_areas(vertices, triangles)
         mass = areas / areas.mean() if weights == "area" else np.ones(len(areas))
         return _Design(vertices, triangles, topology.vertex_normals(vertices, triangles), areas, mass), notes
+
+
+def _names(patches: Any) -> list[str] | None:
+    """The names that `scenario.patches` gives, one or a list."""
+    if patches is None:
+        return None
+    listed = [patches] if isinstance(patches, str | int) else list(patches)
+    if not listed:
+        raise UserError("scenario.patches=[]: name at least one patch")
+    return [str(name) for name in listed]
 
 
 def _check(template: object, reject: str, margin: float, weights: str, search_vertices: int | None, up: str) -> None:

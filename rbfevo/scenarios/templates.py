@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbfevo.errors import UserError
+from rbfevo.meshes import cells, opened
+from rbfevo.meshes.mesh import Array, Mesh, Points, Triangles
 from rbfevo.names import existing_home
-from rbfevo.scenarios.contents import Points, Triangles
-from rbfevo.scenarios.surfaces import checked_extent, read_contents
+from rbfevo.scenarios.surfaces import checked_extent, surface
 
 _ROUNDING = 4.0 * np.finfo(np.float64).eps
 
@@ -27,7 +28,10 @@ class Template:
         rows: [n] int64, ascending: which of the file's points each vertex is (STL: after merging).
         count: points in the file (STL: after merging).
         notes: one line each for what was accepted but is worth a word.
-        cell_arrays: names of the arrays that belong to cells, which are not read.
+        cell_arrays: numeric arrays of the file's cells by name, [c] or [c, k].
+        cell: [f] int64, the cell that each triangle is a part of; -1 on the boundary of a volume.
+        numbers: [count] the file's own numbers of its points, where the format has them.
+        patches: the names of the file's patches.
     """
 
     vertices: Points
@@ -36,27 +40,34 @@ class Template:
     rows: NDArray[np.int64]
     count: int
     notes: dict[str, str]
-    cell_arrays: tuple[str, ...] = ()
+    cell_arrays: dict[str, Array] = dataclasses.field(default_factory=dict)
+    cell: NDArray[np.int64] = dataclasses.field(default_factory=lambda: np.empty(0, np.int64))
+    numbers: NDArray[np.int64] | None = None
+    patches: tuple[str, ...] = ()
 
 
-def read_template(path: str | Path) -> Template:
-    """Read a surface with faces, in any of the formats of `read_surface` but for clouds.
+def read_template(path: str | Path, patches: list[str] | None = None) -> Template:
+    """Read a surface with faces, in any of the formats of `rbfevo.meshes` but for clouds.
 
-    Polygons are cut into triangles; triangles without an area, repeated triangles and points that belong to no
-    triangle are left out, and exactly equal vertices of an STL file are merged, each with a note. Vertices that
-    coincide in other formats stay as they are.
+    Polygons are cut into triangles; of a mesh that fills a volume, the boundary is taken; triangles without an area,
+    repeated triangles and points that belong to no triangle are left out, and exactly equal vertices of an STL file are
+    merged, each with a note. Vertices that coincide in other formats stay as they are.
+
+    Args:
+        path: the file; patches: names of patches (markers, groups, sets) to take, None for all.
 
     Raises:
         UserError: if the file is missing, unreadable, of an unknown ending, or holds no usable surface: a cloud, a
-            volume mesh, or faces without area or with coordinates that are not finite.
+            curve, or faces without area or with coordinates that are not finite.
     """
     path = existing_home(path)
-    contents = read_contents(path)
-    points, triangles, notes = contents.points, contents.triangles, dict(contents.notes)
-    if triangles is None:
-        raise UserError(
-            f"{path}: holds {len(points)} points but no faces (a cloud, or damaged?); a surface with faces is wanted"
-        )
+    with opened(path) as mesh:
+        pass
+    found = surface(path, mesh, patches)
+    points, triangles, notes = mesh.points, found.triangles, mesh.notes | found.notes
+    if not len(triangles):
+        raise UserError(f"{path}: {_without_faces(mesh)}")
+    cell = np.full(len(triangles), -1) if found.cell is None else found.cell
     if path.suffix.lower() == ".stl":
         notes["merged vertices"] = f"{len(points)} points of the STL file, exactly equal ones merged"
         points, triangles = _merged(points, triangles)
@@ -67,11 +78,11 @@ def read_template(path: str | Path) -> Template:
         raise UserError(f"{path}: none of its {len(triangles)} triangles has any area")
     if not kept.all():
         notes["dropped triangles"] = f"{int((~kept).sum())} of {len(kept)} triangles have no area and are left out"
-        triangles = triangles[kept]
+        triangles, cell = triangles[kept], cell[kept]
     kept = _first_of_equal(triangles)
     if not kept.all():
         notes["repeated triangles"] = f"{int((~kept).sum())} triangles repeat others and are left out"
-        triangles = triangles[kept]
+        triangles, cell = triangles[kept], cell[kept]
 
     used = np.zeros(len(points), bool)
     used[triangles] = True
@@ -83,8 +94,30 @@ def read_template(path: str | Path) -> Template:
     if coincident:
         notes["coincident vertices"] = f"{coincident} vertices coincide with others; each counts by itself"
     renumbered = np.cumsum(used) - 1
-    arrays = {name: values[rows] for name, values in contents.arrays.items()}
-    return Template(vertices, renumbered[triangles], arrays, rows, len(points), notes, contents.cell_arrays)
+    return Template(
+        vertices,
+        renumbered[triangles],
+        {name: values[rows] for name, values in mesh.arrays.items()},
+        rows,
+        len(points),
+        notes,
+        mesh.cell_arrays,
+        cell,
+        mesh.numbers,
+        tuple(mesh.patches),
+    )
+
+
+def _without_faces(mesh: Mesh) -> str:
+    """Why there is no surface in a mesh, and what can be done."""
+    lines = cells.counts(mesh.cells).get("lines", 0)
+    if lines:
+        return (
+            f"holds a curve ({lines} lines) and no faces; rbfevo deforms surfaces: extrude the curve by one cell, "
+            "or give "
+            "the mesh of the plane or volume that it bounds"
+        )
+    return f"holds {len(mesh.points)} points but no faces (a cloud, or damaged?); a surface with faces is wanted"
 
 
 def _with_area(path: Path, points: Points, triangles: Triangles) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import breadth_first_order, connected_components
 
-from rbfevo.scenarios.contents import Points, Triangles
+from rbfevo.meshes.mesh import Points, Triangles
 from rbfevo.scenarios.crossings import piercing_edges
 
 MOST_TRIANGLES = 200_000  # looked at for crossings
@@ -164,6 +164,11 @@ def edges_of(n: int, triangles: Triangles) -> Edges:
     balance = np.bincount(index, np.where(up, 1, -1), minlength=len(keys)).astype(np.int64)
     ends = np.stack(np.divmod(keys, n), axis=1)
     return Edges(ends, uses, balance, index, np.repeat(np.arange(len(triangles)), 3), up)
+
+
+def pieces(n: int, edges: Edges) -> int:
+    """Return how many pieces n vertices make that share no vertex."""
+    return _pieces(n, edges.ends)[0]
 
 
 def _pieces(n: int, ends: NDArray[np.int64]) -> tuple[int, NDArray[np.int64]]:

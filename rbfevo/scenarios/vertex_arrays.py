@@ -8,45 +8,54 @@ import warnings
 import zipfile
 from collections.abc import Iterable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rbfevo.errors import UserError
+from rbfevo.meshes.columns import Columns, Group, recognized
+from rbfevo.meshes.mesh import Array, FormatError
+from rbfevo.meshes.tables import Table, read_table
 from rbfevo.names import existing_home
-from rbfevo.scenarios.tables import Table, read_table
+from rbfevo.scenarios import matching
+from rbfevo.scenarios.matching import Match
 from rbfevo.scenarios.templates import Template
-
-Array = NDArray[np.float64]
 
 ENDINGS = (".csv", ".txt", ".npy", ".npz")
 
-_COORDINATE = re.compile(
-    r"(?:(?:points?|coord(?:inate)?s?)[:_ .-]?)?([xyz])|(?:points?|coord(?:inate)?s?)[:_ .-]([0-2])"
-)
-_ID = re.compile(r"(?:(?:point|node|vertex|cell)s?[ _-]?)?(?:ids?|index|indices|no\.?|nr\.?)|node|vertex|#")
-_MAGNITUDE = re.compile(r".*[:_ ]magnitude")
-_COORDINATES_AGREE = 1e-4  # of the extent: spreadsheets often hold six digits
+
+class VertexArray(NamedTuple):
+    """Values [n] or [n, 3] of the vertices, how they were found, and whether they are another mesh's."""
+
+    values: Array
+    note: str
+    other_mesh: bool = False
 
 
-def vertex_array(source: str, template: Template, what: str) -> Array:
+def vertex_array(source: str, template: Template, what: str, match: str = "exact", kind: str = "nodal") -> VertexArray:
     """Return the array of `scenario.{what}=source`, float64 [n] or [n, 3], a row for each vertex of the template.
 
     Args:
-        source: the name of one of `template.arrays`, or a file: CSV or TXT (commas, semicolons or space; columns that
-            the header calls ids or coordinates are not taken), NPY, or NPZ (a single array, or the one named `what`).
-            A row for each of the file's points (`template.count`, of which `template.rows` are picked) or one for each
-            vertex.
+        source: the name of one of the template's point or cell arrays, or a file: CSV or TXT as `read_table` takes it,
+            NPY, or NPZ (a single array, or the one named `what`). The rows of a table are matched to vertices by the
+            coordinates in it, else by ids, else by their order; those of an array by their order: one for each of the
+            file's points (`template.count`, of which `template.rows` are picked), for each vertex, or for each cell.
         template: the surface; what: the key below `scenario`, for messages.
+        match: `exact`; `nearest` or `interpolate` take the values of another mesh, by the coordinates in the table.
+        kind: what the values of cells are, as `matching.from_cells` takes it.
 
     Raises:
-        UserError: if there is no such array or file, or it is unreadable, of the wrong length or number of columns, in
-            another order than the points, or not finite.
+        UserError: if there is no such array or file, or it is unreadable, of the wrong length or number of columns,
+            does not say which value belongs to which vertex, or is not finite.
     """
     try:
         if source in template.arrays:
-            return _fitting(template.arrays[source], None, template)
-        return _fitting(_read(_file(source, template), template, what), template.rows, template)
+            return VertexArray(_fitting(template.arrays[source], template), f"point array {source}")
+        if source in template.cell_arrays:
+            return _of_cells(template.cell_arrays[source], template, kind, f"cell array {source}")
+        path = _file(source, template)
+        return _read(path, template, what, match, kind)
     except UserError as error:
         raise UserError(f"scenario.{what}={source}: {error}") from None
 
@@ -60,35 +69,47 @@ def _file(source: str, template: Template) -> Path:
         there = False
     if there and ending in ENDINGS:
         return path
-    if source in template.cell_arrays:
-        raise UserError("is a cell array; convert it to point data first (ParaView: Cell Data to Point Data)")
     if there:
         raise UserError(f"unknown ending '{ending}'; a file with a row for each vertex can be {_listed(ENDINGS)}")
     if ending in ENDINGS or "/" in source or "\\" in source:
         raise UserError("no such file" if not path.is_dir() else "is a directory; give a file")
     names = sorted(template.arrays)
-    close = difflib.get_close_matches(source, names, n=1)
+    close = difflib.get_close_matches(source, [*names, *template.cell_arrays], n=1)
     hint = f", did you mean '{close[0]}'?" if close else ";"
     known = f"its point arrays are {_listed(names)}" if names else "it has no point arrays"
-    cells = f" (cell arrays, to be converted to point data first: {_listed(template.cell_arrays)})"
-    raise UserError(
-        f"the mesh has no such point array{hint} {known}{cells if template.cell_arrays else ''}; "
-        f"or give a file ({_listed(ENDINGS)})"
-    )
+    cells = f" (cell arrays: {_listed(template.cell_arrays)})" if template.cell_arrays else ""
+    raise UserError(f"the mesh has no such array{hint} {known}{cells}; or give a file ({_listed(ENDINGS)})")
 
 
-def _read(path: Path, template: Template, what: str) -> Array:
+def _of_cells(values: Array, template: Template, kind: str, title: str) -> VertexArray:
+    if (template.cell < 0).any():
+        raise UserError(
+            "belongs to the cells of a volume, of which only the boundary is taken; convert it to point data first "
+            "(ParaView: Cell Data to Point Data)"
+        )
+    how = {"nodal": "integrated over each cell, shared by its corners", "density": "per area", "marks": "marks"}[kind]
+    bad = int((~np.isfinite(values)).reshape(len(values), -1).any(axis=1).sum())
+    if bad:
+        raise UserError(f"{bad} of {len(values)} cells have values that are not finite (NaN or infinite)")
+    carried = matching.from_cells(values, template, kind)
+    return VertexArray(_fitting(carried, template), f"{title}, {how}, carried to the vertices")
+
+
+def _read(path: Path, template: Template, what: str, match: str, kind: str) -> VertexArray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # NumPy's, about headers of other versions
             if path.suffix.lower() in (".npy", ".npz"):
-                return _numbers(_load(path, what))
+                return _by_order(_numbers(_load(path, what)), template, kind)
             content = path.read_bytes()
             if not content.strip():
                 raise UserError("the file is empty")
-            return _columns(read_table(content), template, what)
+            table = read_table(content)
+        return _of_table(table, template, what, match, kind)
     except UserError:
         raise
+    except FormatError as error:
+        raise UserError(f"not a readable {path.suffix[1:].upper()} file ({error})") from None
     except Exception as error:  # NumPy and zipfile raise whatever they like on a damaged file
         lines = str(error).strip().splitlines()
         said = lines[0].strip()[:160] if lines else type(error).__name__
@@ -116,71 +137,136 @@ def _numbers(values: NDArray) -> Array:
     return values.astype(np.float64)
 
 
-def _columns(table: Table, template: Template, what: str) -> Array:
-    """The columns of a table that are neither ids nor coordinates, once these are known to agree with the mesh."""
+def _by_order(values: Array, template: Template, kind: str) -> VertexArray:
+    """Values in the order of the file's points, of the vertices or, where there are as many, of the cells."""
+    _shaped(values)
+    cells = int(template.cell.max(initial=-1)) + 1
+    if len(values) not in (template.count, len(template.vertices)) and len(values) == cells:
+        return _of_cells(values.reshape(cells) if values.shape[1:] == (1,) else values, template, kind, f"{cells} rows")
+    found = matching.by_order(len(values), template)
+    return VertexArray(_fitting(values[found.rows], template), found.note)
+
+
+def _of_table(table: Table, template: Template, what: str, match: str, kind: str) -> VertexArray:
+    """The values of a table, each at its vertex."""
     if table.header is None:
-        return table.numbers()
-    names = table.header
-    ids = [k for k, name in enumerate(names) if _ID.fullmatch(name)]
-    axes = {axis: k for k, name in enumerate(names) if (axis := _axis(name)) is not None}
-    others = [k for k in range(len(names)) if k not in ids and k not in axes.values()]
-    if not others:
-        if len(axes) != 3 or any(names[k].startswith("point") for k in axes.values()):
-            raise UserError("it holds only ids and coordinates, no values")
-        others, axes = [axes[axis] for axis in range(3)], {}
-    for k in ids:
-        numbers = table.numbers((k,))[:, 0]
-        if (np.diff(numbers) <= 0).any():
-            raise UserError(f"its '{names[k]}' column does not ascend; give the rows in the order of the mesh's points")
-    if len(axes) == 3:
-        _check_coordinates(table.numbers([axes[axis] for axis in range(3)]), template)
+        columns, values = _nameless(table, template)
+    else:
+        columns = recognized(table.header)
+        values = _chosen(table, columns, what).columns
+    if not columns.coordinates and not columns.ids:
+        found = _by_order(table.numbers(values), template, kind)
+        return found._replace(note="; ".join([_titled(table, values) + found.note, *table.notes]))
+    if columns.coordinates:
+        axes = tuple(sorted(columns.coordinates))
+        places = table.numbers([columns.coordinates[axis] for axis in axes])
+        found = matching.by_coordinates(places, axes, columns.unit, template, match)
+    else:
+        found = _by_ids(table, columns, template)
+    numbers = table.numbers(values)
+    if numbers.shape[1] == 2:
+        numbers = np.pad(numbers, ((0, 0), (0, 1)))
+    other = match != "exact" and not found.note.startswith("rows ")
+    bad = int((~np.isfinite(numbers)).any(axis=1).sum())
+    if bad and found.places is not None:
+        raise UserError(f"{bad} of its {len(numbers)} rows have values that are not finite (NaN or infinite)")
+    carried = _fitting(matching.interpolated(numbers, found, template), template)
+    return VertexArray(carried, "; ".join([_titled(table, values) + found.note, *table.notes]), other)
 
-    own = [k for k in others if re.fullmatch(rf"{re.escape(what)}(?:[:_ .-]?[0-2xyz])?", names[k])]
-    if len(others) not in (1, 3):
-        others = own or [k for k in others if not _MAGNITUDE.fullmatch(names[k])]
-    if len(others) not in (1, 3):
+
+def _titled(table: Table, values: tuple[int, ...]) -> str:
+    return "" if table.header is None else f"{', '.join(table.header[column] for column in values)}: "
+
+
+def _by_ids(table: Table, columns: Columns, template: Template) -> Match:
+    """Rows by the first column of ids that holds the mesh's numbers."""
+    problems = []
+    for column in columns.ids:
+        name = (table.header or {}).__getitem__(column) if table.header else f"column {column}"
+        try:
+            return matching.by_ids(table.numbers([column])[:, 0], name or "the first column", template)
+        except UserError as error:
+            problems.append(error)
+    raise problems[0]
+
+
+def _nameless(table: Table, template: Template) -> tuple[Columns, tuple[int, ...]]:
+    """Coordinates, ids and values of a table without a header: only where it can be one thing alone."""
+    nothing = Columns({}, "", (), (), (), ())
+    if table.width == 1:
+        return nothing, (0,)
+    numbers = table.numbers()
+    like = matching.looks_like_coordinates(numbers, template)
+    if table.width == 3:
+        if len(like) == 3:
+            raise UserError("it holds only the coordinates of the mesh, no values")
+        if len(like) == 2:
+            raise UserError(
+                "its three columns have no names, and two of them are coordinates of the mesh: no vector; add a "
+                "line that "
+                "names them, as x,y,value"
+            )
+        return nothing, (0, 1, 2)
+    first = numbers[:, 0]
+    if table.width in (2, 4) and (first == np.round(first)).all() and len(np.unique(first)) == len(first):
+        return Columns({}, "", (0,), (), (), ()), tuple(range(1, table.width))
+    if table.width in (4, 6):
+        return Columns({0: 0, 1: 1, 2: 2}, "", (), (), (), ()), tuple(range(3, table.width))
+    raise UserError(
+        f"it has {table.width} columns without names; add a first line that names them, as x,y,z,value or id,value"
+    )
+
+
+def _chosen(table: Table, columns: Columns, what: str) -> Group:
+    """The one quantity of a table that is meant: that named `what`, or the only one."""
+    names = table.header or []
+    groups = [*columns.values, *columns.aside]
+    if not groups:
+        named = ", ".join(names)
         raise UserError(
-            f"it has {len(others)} columns of values ({_listed([names[k] for k in others])}); "
-            f"1 or 3 are wanted, or name them {what}"
+            f"it holds only ids and coordinates ({named}), no values; a vector's columns are named {what}_x, {what}_y, "
+            f"{what}_z"
         )
-    return table.numbers(others)
-
-
-def _axis(name: str) -> int | None:
-    """0, 1 or 2 if a column's name says that it is the x, y or z of the points."""
-    found = _COORDINATE.fullmatch(name)
-    return "xyz012".index(found[1] or found[2]) % 3 if found else None
-
-
-def _check_coordinates(points: Array, template: Template) -> None:
-    """Refuse a table whose points are not those of the mesh, as when its rows were sorted."""
-    picked = points
-    if len(points) == template.count:
-        picked = points[template.rows]
-    if picked.shape != template.vertices.shape:
-        return  # the number of rows is told soon
-    allowed = _COORDINATES_AGREE * np.ptp(template.vertices, axis=0).max()
-    off = ~(np.abs(picked - template.vertices).max(axis=1) <= allowed)
-    if off.any():
+    own = [group for group in groups if re.fullmatch(rf"{re.escape(what)}(?:[:_ .-]?[0-2xyz])?", group.name)]
+    near = [group for group in columns.values if "sens" in group.name] if what == "sensitivity" else []
+    candidates = own or near or list(columns.values) or groups
+    related = [*candidates, *(group for group in near if group not in candidates)]
+    if len(related) > 1:
+        zero = [group for group in related if not table.numbers(group.columns).any()]
+        if zero and len(zero) < len(related):
+            full = [group for group in related if group not in zero]
+            raise UserError(
+                f"{_said(zero, names)} is zero in every row, {_said(full, names)} is not: which one is meant? "
+                "Leave the "
+                "other one out"
+            )
+    vectors = [group for group in candidates if len(group.columns) > 1]
+    candidates = vectors if (own or near) and len(vectors) == 1 else candidates
+    if len(candidates) != 1:
         raise UserError(
-            f"its coordinates differ from the mesh's at {int(off.sum())} of {len(off)} vertices; give the rows in the "
-            "order of the mesh's points (or leave the coordinates out)"
+            f"it has {len(candidates)} columns or vectors of values "
+            f"({'; '.join(_said([g], names) for g in candidates)}); "
+            f"name the one that is meant {what} (or {what}_x, {what}_y, {what}_z), or leave the others out"
         )
+    return candidates[0]
 
 
-def _fitting(values: Array, rows: NDArray[np.int64] | None, template: Template) -> Array:
-    """The rows of the vertices, [n] or [n, 3], all finite; `rows` is None where they are already picked."""
-    n = len(template.vertices)
+def _said(groups: list[Group], names: list[str]) -> str:
+    return ", ".join(names[column] for group in groups for column in group.columns)
+
+
+def _shaped(values: Array) -> None:
+    """Raise UserError if values are not [r], [r, 1] or [r, 3]."""
     if values.ndim not in (1, 2) or (values.ndim == 2 and values.shape[1] not in (1, 3)):
         shape = " x ".join(str(side) for side in values.shape)
         said = f"it has {values.shape[1]} columns" if values.ndim == 2 else f"it is of shape {shape or 'none'}"
         raise UserError(f"{said}; one number or a vector of three for each point is wanted")
-    if rows is not None:
-        if len(values) == template.count:
-            values = values[rows]
-        elif len(values) != n:
-            wanted = f"{template.count} points" + (f" ({n} of them in triangles)" if n != template.count else "")
-            raise UserError(f"it has {len(values)} rows, but the mesh has {wanted}; give one row for each point")
+
+
+def _fitting(values: Array, template: Template) -> Array:
+    """Values of the vertices, [n] or [n, 3], all finite."""
+    _shaped(values)
+    n = len(template.vertices)
     bad = int((~np.isfinite(values)).reshape(n, -1).any(axis=1).sum())
     if bad:
         raise UserError(f"{bad} of {n} vertices have values that are not finite (NaN or infinite)")

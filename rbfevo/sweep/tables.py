@@ -24,7 +24,8 @@ ALWAYS = (*FIRST[:4], "kernel.support", *FIRST[4:7])  # columns of every table; 
 TOLD_BY_MESH = tuple(
     f"scenario.{key}"
     for key in (
-        *("template", "target", "sensitivity", "sensitivity_kind", "objective", "target_scale", "reject", "weights"),
+        *("template", "patches", "target", "sensitivity", "sensitivity_kind", "sensitivity_match", "objective"),
+        *("target_scale", "reject", "weights"),
         *("resolution", "subdivisions", "scan", "up", "front"),
     )
 )

@@ -7,16 +7,15 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rbfevo.errors import UserError
-from rbfevo.exchange import program
-from rbfevo.exchange.mesh import FormatError, Mesh
-from rbfevo.record import Array
+from rbfevo.meshes import program
+from rbfevo.meshes.mesh import Array, Cells, Faces, FormatError, Mesh
 
 PATIENCE, SPEED = 30.0, 2e5  # seconds, and bytes a second: meshio reads some damaged files for ever
 SOLVER = "written anew by meshio, which keeps points, cells and the arrays and sets that it knows, and nothing else"
@@ -38,18 +37,28 @@ def foreign(kind: str, path: Path) -> Iterator[Mesh]:
                 found = _reply(process, kind, patience)
             except ValueError as error:
                 raise FormatError(str(error)) from None
-            points = found["points"].astype(np.float64)
-            width = points.shape[1]
-            full = np.zeros((len(points), 3))
-            full[:, :width] = points
-            triangles, tetrahedra = (found[name] if len(found[name]) else None for name in ("triangles", "tetrahedra"))
 
             def write(moved: Array, displacement: Array, out: Path) -> list[str]:
                 return _write(process, {"moved": moved, "displacement": displacement}, out, kind, 2 * patience)
 
-            yield Mesh(full, triangles, tetrahedra, width, [SOLVER] if kind == "meshio" else [], write)
+            yield mesh_of(found, write, [SOLVER] if kind == "meshio" else [])
         finally:
             process.kill()
+
+
+def mesh_of(found: dict[str, Any], write: Callable[[Array, Array, Path], list[str]], kept: list[str]) -> Mesh:
+    """The mesh that a message of the program tells of."""
+    faces = (found["face cells"], found["face sizes"], found["face corners"])
+    return Mesh(
+        found["points"].astype(np.float64),
+        write,
+        Cells(found["kinds"], found["sizes"], found["corners"], Faces(*faces) if len(faces[0]) else None),
+        program.unpacked("array", found),
+        program.unpacked("cell array", found),
+        program.unpacked("patch", found),
+        dimension=int(found.get("dimension", 3)),
+        kept=kept,
+    )
 
 
 def _reply(process: subprocess.Popen[bytes], kind: str, patience: float) -> dict[str, Any]:

@@ -6,8 +6,7 @@ import io
 
 import numpy as np
 
-from rbfevo.exchange.mesh import FormatError, Mesh, narrowed, written_as
-from rbfevo.record import Array
+from rbfevo.meshes.mesh import Array, FormatError, Mesh, narrowed, written_as
 
 
 def read_npy(content: bytes) -> Mesh:
@@ -30,4 +29,4 @@ def read_npy(content: bytes) -> Mesh:
 
     points = np.zeros((len(array), 3))
     points[:, :width] = array
-    return Mesh(points, None, None, width, [], written_as(rewritten))
+    return Mesh(points, written_as(rewritten), dimension=width)

@@ -1,0 +1,223 @@
+"""Which row of a table belongs to which vertex: by coordinates, by ids, or by the order of the rows."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rbfevo.errors import UserError
+from rbfevo.meshes.mesh import Array, Ints
+from rbfevo.scenarios.templates import Template
+
+MATCHES = ("exact", "nearest", "interpolate")
+AGREE = 1e-4  # of the template's longest side: spreadsheets often hold six digits
+FAR = 0.2  # of the same: rows of another mesh that lie farther are not of the same surface
+_UNITS = (1e-3, 1.0 / 304.8, 1e-2, 1.0 / 39.3700787, 1.0 / 25.4, 25.4, 39.3700787, 100.0, 304.8, 1e3)
+_NEIGHBOURS = 8
+
+
+class Match(NamedTuple):
+    """The row [n] of each vertex; `places` [r, 3] where values are to be interpolated instead; one line on how."""
+
+    rows: Ints
+    places: Array | None
+    note: str
+
+
+def by_order(count: int, template: Template) -> Match:
+    """Rows in the order of the file's points, or of the vertices.
+
+    Raises:
+        UserError: if there are not as many of them.
+    """
+    n = len(template.vertices)
+    if count == template.count:
+        return Match(template.rows, None, "rows in the order of the mesh's points")
+    if count == n:
+        return Match(np.arange(n), None, "rows in the order of the mesh's vertices")
+    wanted = f"{template.count} points" + (f" ({n} of them in triangles)" if n != template.count else "")
+    cells = f" and {len(np.unique(template.cell))} cells" if len(template.cell) else ""
+    raise UserError(
+        f"it has {count} rows, but the mesh has {wanted}{cells}; give one row for each point, or columns x, y, z, by "
+        "which rows are matched"
+    )
+
+
+def by_ids(ids: Array, name: str, template: Template) -> Match:
+    """Rows by the numbers of the mesh's points: the file's own, or else from 0 or from 1.
+
+    Raises:
+        UserError: if a number is there twice, or the numbers are not the mesh's.
+    """
+    if (ids != np.round(ids)).any():
+        raise UserError(f"its column '{name}' holds numbers that are not whole; ids of points are expected")
+    order = np.argsort(ids, kind="stable")
+    listed = ids[order]
+    twice = int((np.diff(listed) == 0).sum())
+    if twice:
+        raise UserError(f"its column '{name}' holds {twice} ids twice")
+
+    def found(numbers: Ints) -> Ints | None:
+        place = np.minimum(np.searchsorted(listed, numbers), len(listed) - 1)
+        return order[place] if np.array_equal(listed[place], numbers) else None
+
+    if template.numbers is not None:
+        rows = found(template.numbers[template.rows])
+        if rows is not None:
+            return Match(rows, None, f"rows by '{name}', the file's numbers of its points")
+    else:
+        zero, one = found(template.rows), found(template.rows + 1)
+        if zero is not None and one is not None and len(ids) != template.count:
+            raise UserError(
+                f"its column '{name}' may count the mesh's {template.count} points from 0 or from 1; add columns "
+                "x, y, z, "
+                "or leave out the rows of other points"
+            )
+        if zero is not None or one is not None:
+            start = 0 if zero is not None else 1
+            return Match(zero if zero is not None else one, None, f"rows by '{name}', from {start}")  # pyright: ignore[reportArgumentType]
+    known = template.numbers if template.numbers is not None else np.array([0, template.count - 1])
+    raise UserError(
+        f"its column '{name}' ({listed[0]:.0f} to {listed[-1]:.0f}, {len(ids)} rows) does not hold the numbers of the "
+        f"mesh's points ({known.min()} to {known.max()}"
+        + ("" if template.numbers is not None else f", or 1 to {template.count}")
+        + "); leave it out if the rows have the order of the points, or add columns x, y, z"
+    )
+
+
+def by_coordinates(places: Array, axes: tuple[int, ...], unit: str, template: Template, match: str) -> Match:
+    """Rows by where they are: exactly (in any order, with rows to spare), or by the nearest of another mesh's.
+
+    Args:
+        places: [r, k] coordinates; axes: which they are, of 0, 1, 2; unit: theirs, as the header names it.
+        match: `exact`, `nearest` or `interpolate`.
+
+    Raises:
+        UserError: if vertices have no row of their own, naming how far the nearest is.
+    """
+    from scipy.spatial import KDTree
+
+    bad = int((~np.isfinite(places)).any(axis=1).sum())
+    if bad:
+        raise UserError(f"{bad} of its {len(places)} rows have coordinates that are not finite")
+    vertices = template.vertices[:, list(axes)]
+    extent = float(np.ptp(template.vertices, axis=0).max())
+    allowed = AGREE * extent
+    for rows in (template.rows, np.arange(len(vertices))):
+        if len(places) == (template.count if rows is template.rows else len(vertices)):
+            off = np.abs(places[rows] - vertices).max()
+            if off <= allowed:
+                return Match(rows, None, f"rows in the order of the mesh, coordinates agree to {off:.2g}")
+    found: Any = KDTree(places).query(vertices)
+    distance, nearest = found
+    if len(axes) == 3 and (distance <= allowed).all():
+        first = np.unique(nearest, return_index=True)[1]
+        shared = np.ones(len(nearest), bool)
+        shared[first] = False
+        owner = np.full(len(places), -1)
+        owner[nearest[first]] = first
+        apart = np.abs(vertices[owner[nearest]] - vertices).max(axis=1) > 0
+        if not (shared & apart).any():
+            return Match(
+                nearest, None, f"rows by coordinates, the farthest {distance.max():.2g} away (tolerance {allowed:.2g})"
+            )
+        raise UserError(
+            f"its coordinates are too coarse: {int((shared & apart).sum())} vertices share the nearest row with another"
+        )
+    _ask_about_units(places, vertices, unit)
+    if len(axes) == 3 and match != "exact":
+        if distance.max() > FAR * extent:
+            raise UserError(
+                f"the nearest row of a vertex is {distance.max():.3g} away, of a longest side of {extent:.3g}: "
+                "its rows are "
+                "not of the same surface, or of a part of it"
+            )
+        note = f"largest distance {distance.max():.3g}, mean {distance.mean():.3g}, of a longest side of {extent:.3g}"
+        if match == "nearest":
+            return Match(nearest, None, f"nearest rows: {note}")
+        return Match(nearest, places, f"interpolated between {min(_NEIGHBOURS, len(places))} nearest rows: {note}")
+    off = distance > allowed
+    if len(axes) < 3:
+        raise UserError(
+            f"it has {len(axes)} of three coordinates, and its rows are not in the order of the mesh: add the third one"
+        )
+    raise UserError(
+        f"its coordinates differ from the mesh's: {int(off.sum())} of {len(off)} vertices have no row within "
+        f"{allowed:.2g}, "
+        f"the nearest of one is {distance.max():.3g} away; scenario.sensitivity_match=nearest or interpolate takes the "
+        "values of another mesh of the same surface"
+    )
+
+
+def _ask_about_units(places: Array, vertices: Array, unit: str) -> None:
+    """Raise UserError if the coordinates are the mesh's in another unit."""
+    its, mine = (np.linalg.norm(np.ptp(points, axis=0)) for points in (places, vertices))
+    if its <= 0 or mine <= 0:
+        return
+    factor = min(_UNITS, key=lambda each: abs(math.log(each * mine / its)))
+    if abs(math.log(factor * mine / its)) < 0.02:
+        named = f" (its header says {unit})" if unit else ""
+        raise UserError(
+            f"its coordinates are {factor:.6g} times the mesh's{named}: another unit? Give both in one unit: "
+            "multiply its "
+            f"columns x, y, z by {1.0 / factor:.6g}; and mind the unit of the values"
+        )
+
+
+def interpolated(values: Array, match: Match, template: Template) -> Array:
+    """Values [n] or [n, k] at the vertices from those of a table's rows [r] or [r, k].
+
+    Between rows, by linear radial basis functions of the nearest ones, which keep the rows' own values.
+    """
+    if match.places is None:
+        return values[match.rows]
+    from scipy.interpolate import RBFInterpolator
+
+    places, first = np.unique(match.places, axis=0, return_index=True)
+    neighbours = min(_NEIGHBOURS, len(places))
+    return RBFInterpolator(places, values[first], neighbors=neighbours, kernel="linear", degree=0)(template.vertices)
+
+
+def from_cells(values: Array, template: Template, kind: str) -> Array:
+    """Values of the template's cells [c] or [c, k], carried to its vertices [n] or [n, k].
+
+    Args:
+        kind: `nodal`: integrated over a cell, each of whose corners takes its share; `density`: per area, of which a
+            vertex takes the mean by areas; `marks`: a vertex of a marked cell is marked.
+    """
+    triangles, n = template.triangles, len(template.vertices)
+    a, b, c = np.moveaxis(template.vertices[triangles], 1, 0)
+    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+    rows = values[template.cell].reshape(len(triangles), -1)
+    if kind == "marks":
+        weights = np.ones(len(areas))
+        rows = np.abs(rows)
+    elif kind == "nodal":
+        weights = areas / np.bincount(template.cell, areas, minlength=len(values))[template.cell] / 3.0
+    else:
+        weights = areas / 3.0
+    corner = triangles.reshape(-1)
+    carried = np.stack([np.bincount(corner, np.repeat(weights * column, 3), minlength=n) for column in rows.T], axis=1)
+    if kind == "density":
+        carried /= np.bincount(corner, np.repeat(weights, 3), minlength=n)[:, None]
+    return carried.reshape(n) if values.ndim == 1 else carried
+
+
+def looks_like_coordinates(columns: Array, template: Template) -> NDArray[np.int64]:
+    """Which of a nameless table's columns [r, k] are, row by row, the mesh's x, y or z."""
+    found = []
+    for rows, count in ((template.rows, template.count), (np.arange(len(template.vertices)), len(template.vertices))):
+        if len(columns) != count:
+            continue
+        allowed = AGREE * float(np.ptp(template.vertices, axis=0).max())
+        for column in range(columns.shape[1]):
+            if any(
+                np.abs(columns[rows, column] - template.vertices[:, axis]).max() <= allowed
+                and np.ptp(template.vertices[:, axis]) > allowed
+                for axis in range(3)
+            ):
+                found.append(column)
+    return np.unique(np.array(found, np.int64))
