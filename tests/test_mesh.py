@@ -316,3 +316,43 @@ def test_any_value_but_zero_marks_a_vertex_as_fixed(mark: float, folder: Path, t
     scenario = build(folder, sensitivity="vector", fixed=str(tmp_path / "marks.npy"))
     assert bool((scenario.gradient[torch.from_numpy(front)] == 0).all())
     assert int((scenario.gradient != 0).any(1).sum()) > 0.9 * int((~front).sum())
+
+
+def test_a_flat_template_is_told_what_values_can_do(tmp_path: Path) -> None:
+    sheet = pv.Plane(i_size=2.0, j_size=1.0, i_resolution=8, j_resolution=6).rotate_x(30.0).translate((3.0, 0, 5))
+    sheet.point_data["lift"] = np.arange(float(sheet.n_points))
+    sheet.points = sheet.points.astype(np.float64)
+    sheet.save(tmp_path / "flat.vtp")
+    made = mesh(template=str(tmp_path / "flat.vtp"), sensitivity="lift")
+    assert made.notes["flat"].startswith("all vertices lie in one plane")
+    sheet.points[0] += [0.0, 0.0, 1e-3]
+    sheet.save(tmp_path / "bent.vtp")
+    assert "flat" not in mesh(template=str(tmp_path / "bent.vtp"), sensitivity="lift").notes
+
+
+def test_values_of_another_mesh_must_be_per_area(folder: Path, tmp_path: Path) -> None:
+    """And patches and cell arrays reach the scenario by its settings."""
+    sheet = pv.Plane(i_resolution=4, j_resolution=4)
+    sheet.cell_data["force"] = np.ones(sheet.n_cells)
+    sheet.save(tmp_path / "a.vtp")
+    places = pv.Plane(i_resolution=9, j_resolution=9).points
+    rows = np.column_stack([places, 1.0 + places[:, 0]])
+    np.savetxt(tmp_path / "fine.csv", rows, delimiter=",", header="x,y,z,sens", comments="")
+    settings: dict[str, Any] = {"template": str(tmp_path / "a.vtp"), "sensitivity": str(tmp_path / "fine.csv")}
+    with pytest.raises(UserError, match="sensitivity_match=nearest or interpolate"):
+        mesh(**settings)
+    with pytest.raises(UserError, match="integrated values of another mesh depend on its cells"):
+        mesh(**settings, sensitivity_match="interpolate")
+    made = mesh(**settings, sensitivity_match="interpolate", sensitivity_kind="density", weights="area")
+    assert "interpolated between 8 nearest rows: largest distance" in made.notes["sensitivity rows"]
+    vertices = made.vertices[:, 0]
+    ratio = made.gradient[:, 2] / (1.0 + vertices)
+    assert torch.allclose(ratio, ratio[:1].expand_as(ratio), rtol=2e-2)
+    by_cell = mesh(template=str(tmp_path / "a.vtp"), sensitivity="force")
+    corner, middle = float(by_cell.gradient[0].norm()), float(by_cell.gradient[12].norm())
+    assert middle == pytest.approx(4.0 * corner, rel=0.5)
+    assert by_cell.notes["sensitivity rows"].startswith("cell array force, integrated over each cell")
+    with pytest.raises(UserError, match="choose one of exact, nearest, interpolate"):
+        mesh(**settings, sensitivity_match="near")
+    with pytest.raises(UserError, match="the file names no patches"):
+        mesh(template=str(tmp_path / "a.vtp"), sensitivity="force", patches="wing")

@@ -85,6 +85,11 @@ def mesh(
         raise UserError(_which(read, target is not None))
     design, words = _Design.of(read, weights)
     notes |= words
+    if topology.flat(read.vertices):
+        notes["flat"] = (
+            "all vertices lie in one plane: a sensitivity with one value a vertex, and a target beside the plane, move "
+            "them out of it; vectors within the plane keep it flat"
+        )
     lower, upper = _box(read.vertices, margin)
     mirror = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, design.triangles, lower, upper)
     if target is not None:
@@ -176,14 +181,14 @@ class _Design:
         return _Design(vertices, triangles, topology.vertex_normals(vertices, triangles), areas, mass), notes
 
 
-def _names(patches: Any) -> list[str] | None:
+def _names(patches: Any) -> tuple[str, ...] | None:
     """The names that `scenario.patches` gives, one or a list."""
     if patches is None:
         return None
     listed = [patches] if isinstance(patches, str | int) else list(patches)
     if not listed:
         raise UserError("scenario.patches=[]: name at least one patch")
-    return [str(name) for name in listed]
+    return tuple(str(name) for name in listed)
 
 
 def _check(template: object, reject: str, margin: float, weights: str, search_vertices: int | None, up: str) -> None:

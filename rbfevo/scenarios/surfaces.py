@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,7 @@ def read_surface(path: str | Path) -> tuple[Points, Triangles | None]:
     return points, found.triangles
 
 
-def surface(path: Path, mesh: Mesh, patches: list[str] | None = None) -> Surface:
+def surface(path: Path, mesh: Mesh, patches: Sequence[str] | None = None) -> Surface:
     """The surface of a mesh, as `surface_of` takes it, with the file named in whatever is wrong.
 
     Raises:

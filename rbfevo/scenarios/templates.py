@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,7 @@ class Template:
     patches: tuple[str, ...] = ()
 
 
-def read_template(path: str | Path, patches: list[str] | None = None) -> Template:
+def read_template(path: str | Path, patches: Sequence[str] | None = None) -> Template:
     """Read a surface with faces, in any of the formats of `rbfevo.meshes` but for clouds.
 
     Polygons are cut into triangles; of a mesh that fills a volume, the boundary is taken; triangles without an area,

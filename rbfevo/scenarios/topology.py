@@ -97,6 +97,12 @@ def oriented(vertices: Points, triangles: Triangles, edges: Edges | None = None)
     return np.where(reverse[:, None], wound[:, ::-1], wound), int((turned ^ reverse).sum())
 
 
+def flat(vertices: Points) -> bool:
+    """Tell whether all vertices [n, 3] lie in one plane, but for the rounding of single precision."""
+    spans = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False) if len(vertices) > 2 else np.zeros(3)
+    return bool(spans[-1] <= 1e-6 * spans[0])
+
+
 def inward(vertices: Points, triangles: Triangles) -> bool:
     """Tell whether an open surface is wound with its normals inwards, once its holes are closed towards their middle.
 
