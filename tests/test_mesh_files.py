@@ -238,7 +238,7 @@ WHOLE: dict[str, bytes] = {
     "plain.su2": su2(),
     "crlf.su2": su2("\r\n", " = ", trailing=True),
     "shell.mdpa": kratos("Elements", "ShellThinElement3D3N", "ShellThinElement3D4N"),
-    "conditions.mdpa": kratos("Conditions", "SurfaceCondition3D3N", "SurfaceCondition3D4N"),
+    "conditions.mdpa": kratos("Conditions", "LoadCondition3D3N", "LoadCondition3D4N"),
     "geometries.off": "\n".join(
         ["OFF", f"{len(PLAIN)} {len(FACES)} 0", *PLAIN, *(f"{len(f)} {' '.join(map(str, f))}" for f in FACES), ""]
     ).encode(),
@@ -282,6 +282,22 @@ def test_template_target_and_apply_see_the_same_mesh(name: str, tmp_path: Path) 
             for content in (out.read_bytes(), WHOLE[name])
         ]
         assert others[0] == others[1]
+
+
+def test_large_fields_of_nastran_keep_all_but_the_coordinates(tmp_path: Path) -> None:
+    """Names of continuations, other systems of displacements, and blanks."""
+    grid = "GRID*   {0:>16}                {1:>16}{2:>16}*G{0}\n*G{0:<6}{3:>16}               3\n"
+    content = "".join(grid.format(i + 1, *point) for i, point in enumerate([[0.0, 0, 0], [1.5, 0, 0], [0, 2.5, 0]]))
+    path, out = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    path.write_text(f"BEGIN BULK\n{content}CTRIA3,1,1,1,2,3\nENDDATA\n")
+    with meshes.opened(path) as mesh:
+        meshes.write(mesh, path, mesh.points + 1.0, 0.0 * mesh.points, out)
+    moved = "".join(grid.format(i + 1, *point) for i, point in enumerate([[1.0, 1, 1], [2.5, 1, 1], [1, 3.5, 1]]))
+    number = re.compile(r"(?<= )-?\d+(?:\.\d*)?")
+    assert number.sub("@", out.read_text()).split() == number.sub("@", path.read_text()).split()
+    assert [float(n) for n in number.findall(out.read_text())] == [
+        float(n) for n in number.findall(f"BEGIN BULK\n{moved}CTRIA3,1,1,1,2,3\nENDDATA\n")
+    ]
 
 
 PATCHES = {

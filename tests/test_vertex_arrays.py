@@ -367,3 +367,28 @@ test_many_more_damaged_files = pytest.mark.slow(damaged(20000))
 def test_the_seeds_are_sound(tmp_path, name):
     values = vertex_array(write(tmp_path, f"seed.{name}", SEEDS[name]), template(), "sensitivity")
     np.testing.assert_array_equal(values, VECTORS[ROWS] if name == "npy" else PICKED)
+
+
+def test_a_separator_that_the_file_names(tmp_path):
+    path = write(
+        tmp_path, "a.csv", "sep=|\nid|value\n" + "".join(f"{k}|{v!r}\n" for k, v in enumerate(VALUES.tolist()))
+    )
+    np.testing.assert_array_equal(vertex_array(path, template(), "sensitivity"), PICKED)
+
+
+def test_coordinates_that_are_too_coarse_to_tell_vertices_apart_are_refused(tmp_path):
+    """Two vertices 5e-5 apart, of a mesh of size 1, share the row of one of them."""
+    corners = np.array([[0.0, 0, 0], [5e-5, 0, 0], [1, 0, 0], [0, 1, 0]])
+    close = template(vertices=corners, count=4, rows=np.arange(4), triangles=np.array([[0, 1, 3], [1, 2, 3]]))
+    table = lines("x,y,z,v", *corners[[3, 2, 0]].T, np.arange(3.0))
+    assert "1 vertices share the nearest row with another" in refusal(write(tmp_path, "a.csv", table), of=close)
+    same = template(vertices=corners[[0, 0, 2, 3]], count=4, rows=np.arange(4))
+    found = vertex_array(write(tmp_path, "b.csv", table), same, "sensitivity")
+    np.testing.assert_array_equal(found, [2.0, 2.0, 1.0, 0.0])
+
+
+def test_a_total_below_the_rows_is_left_out_and_told(tmp_path):
+    table = lines("x,y,z,v", *POINTS.T, VALUES) + f"Total,,,{VALUES.sum()!r}\n"
+    found = vertex_arrays.vertex_array(write(tmp_path, "a.csv", table), template(), "sensitivity")
+    np.testing.assert_array_equal(found.values, PICKED)
+    assert "its last row, 'Total,,," in found.note
