@@ -144,17 +144,17 @@ def warnings(
 def inverted(mesh: meshes.Mesh, moved: Array) -> str:
     """How many cells of a volume mesh a move turns inside out, and how far it may go; empty if it is none."""
     found = meshes.cells.volumes(mesh.points, moved, mesh.cells)
-    said, share = [], 1.0
+    turned, share = [], 1.0
     for volumes in found:
         bad = (volumes.before != 0) & (volumes.before * volumes.after <= 0)
         if bad.any():
             worst = float((volumes.after[bad] / volumes.before[bad]).min()) + 0.0  # no -0
             share = min(share, volumes.share)
-            said.append(f"{int(bad.sum())} of {len(bad)} {volumes.name} (the worst to {worst:.3g} times its volume)")
-    if not said:
+            turned.append(f"{int(bad.sum())} of {len(bad)} {volumes.name} (the worst to {worst:.3g} times its volume)")
+    if not turned:
         return ""
     return (
-        f"the move turns {', '.join(said)} inside out or flat, so that no solver can use the mesh; displacements "
+        f"the move turns {', '.join(turned)} inside out or flat, so that no solver can use the mesh; displacements "
         f"{share:.3g} times as large are the limit"
     )
 

@@ -9,17 +9,18 @@ import numpy as np
 
 from rbfevo.errors import UserError
 from rbfevo.meshes import cells, ending_of, opened
-from rbfevo.meshes.mesh import Array, FormatError
-from rbfevo.meshes.surface import surface_of
+from rbfevo.meshes.mesh import Array, Mesh
+from rbfevo.meshes.surface import Surface
 from rbfevo.scenarios import topology
-from rbfevo.scenarios.templates import read_template
+from rbfevo.scenarios.surfaces import surface
+from rbfevo.scenarios.templates import template_of
 
 
 def reported(path: Path, patches: list[str] | None = None) -> dict[str, Any]:
     """What a file holds, as plain values.
 
     Keys: `file`, `format`, `points`, `vertices` (of the surface), `triangles`, `pieces`, `area`, `volume` (within a
-    closed surface, else null), `cells` (how many of each sort), `box` (the lowest and highest corner), `arrays` and
+    closed surface, else null), `cells` (how many of each kind), `box` (the lowest and highest corner), `arrays` and
     `cell_arrays` (by name: components, lowest, highest, and how many rows are not finite), `patches` (by name: cells),
     `notes` (by title). Lengths are in the file's unit.
 
@@ -31,20 +32,17 @@ def reported(path: Path, patches: list[str] | None = None) -> dict[str, Any]:
     """
     with opened(path) as mesh:
         pass
-    try:
-        surface = surface_of(mesh, patches)
-    except (FormatError, UserError) as error:
-        raise UserError(f"{path}: {error}") from None
+    part = surface(path, mesh, patches)
     finite: Any = np.isfinite(mesh.points).all(axis=1)
-    notes = mesh.notes | surface.notes
+    notes = mesh.notes | part.notes
     if not finite.all():
         notes["not finite"] = f"{int((~finite).sum())} of {len(finite)} points have coordinates that are not finite"
     found: dict[str, Any] = {
         "file": str(path),
         "format": ending_of(path)[1:].upper(),
         "points": len(mesh.points),
-        "vertices": len(np.unique(surface.triangles)),
-        "triangles": len(surface.triangles),
+        "vertices": len(np.unique(part.triangles)),
+        "triangles": len(part.triangles),
         "pieces": 0,
         "area": 0.0,
         "volume": None,
@@ -55,27 +53,25 @@ def reported(path: Path, patches: list[str] | None = None) -> dict[str, Any]:
         "patches": {name: len(members) for name, members in mesh.patches.items()},
         "notes": notes,
     }
-    if len(surface.triangles):
-        _measure(found, path, patches)
+    if len(part.triangles):
+        _measure(found, path, mesh, part)
     return found
 
 
-def _measure(found: dict[str, Any], path: Path, patches: list[str] | None) -> None:
+def _measure(found: dict[str, Any], path: Path, mesh: Mesh, part: Surface) -> None:
     """Add what a template of the file would be like."""
     try:
-        template = read_template(path, patches)
+        template = template_of(path, mesh, part)
     except UserError as error:
         found["notes"]["no template"] = str(error).removeprefix(f"{path}: ")
         return
     found["vertices"], found["triangles"] = len(template.vertices), len(template.triangles)
     edges = topology.edges_of(len(template.vertices), template.triangles)
     odd = topology.words(template.vertices, template.triangles, edges)
-    a, b, c = np.moveaxis(template.vertices[template.triangles], 1, 0)
-    found["area"] = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
+    found["area"] = float(topology.areas(template.vertices, template.triangles).sum())
     found["pieces"] = topology.pieces(len(template.vertices), edges)
     if (edges.uses == 2).all() and "winding" not in odd:
-        middle = template.vertices.mean(axis=0)
-        found["volume"] = float(np.einsum("ij,ij->", a - middle, np.cross(b - middle, c - middle)) / 6.0)
+        found["volume"] = topology.volume(template.vertices, template.triangles)
     found["notes"] |= template.notes | odd
 
 
@@ -92,30 +88,29 @@ def _described(values: Array) -> dict[str, Any]:
 
 def lines(found: dict[str, Any]) -> list[str]:
     """The report in lines, for people."""
-    listed = ", ".join(f"{count} {sort}" for sort, count in found["cells"].items()) or "no cells: a cloud"
-    told = [f"{found['file']}: {found['format']}, {found['points']} points; {listed}"]
+    listed = ", ".join(f"{count} {kind}" for kind, count in found["cells"].items()) or "no cells: a cloud"
+    rows = [f"{found['file']}: {found['format']}, {found['points']} points; {listed}"]
     if found["box"]:
         sides = ", ".join(
             f"{axis} {low:.6g} to {high:.6g}" for axis, low, high in zip("xyz", *found["box"], strict=True)
         )
-        told.append(f"box: {sides}")
+        rows.append(f"box: {sides}")
     if found["triangles"]:
         volume = "open, no volume" if found["volume"] is None else f"volume {found['volume']:.6g}"
         pieces = "1 piece" if found["pieces"] == 1 else f"{found['pieces']} pieces"
-        told.append(
-            f"surface: {found['vertices']} vertices, {found['triangles']} triangles, {pieces}, area "
-            f"{found['area']:.6g}, "
-            f"{volume}"
+        rows.append(
+            f"surface: {found['vertices']} vertices, {found['triangles']} triangles, {pieces}, "
+            f"area {found['area']:.6g}, {volume}"
         )
     for title, key in (("point arrays", "arrays"), ("cell arrays", "cell_arrays")):
         if found[key]:
-            told.append(f"{title}:")
+            rows.append(f"{title}:")
         for name, values in found[key].items():
             size = "" if values["components"] == 1 else f", {values['components']} components"
             span = "" if values["lowest"] is None else f": {values['lowest']:.6g} to {values['highest']:.6g}"
             gaps = f", {values['not_finite']} rows not finite" if values["not_finite"] else ""
-            told.append(f"  {name}{size}{span}{gaps}")
+            rows.append(f"  {name}{size}{span}{gaps}")
     if found["patches"]:
-        told.append("patches: " + ", ".join(f"{name} ({count} cells)" for name, count in found["patches"].items()))
-    told += [f"note: {title}: {note}" for title, note in found["notes"].items()]
-    return told
+        rows.append("patches: " + ", ".join(f"{name} ({count} cells)" for name, count in found["patches"].items()))
+    rows += [f"note: {title}: {note}" for title, note in found["notes"].items()]
+    return rows

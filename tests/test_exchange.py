@@ -527,16 +527,16 @@ BAD = {
     "": "empty",
     "1,2,3\n4,5,6\n": "shape is [2, 3], but there are 3 centers",
     "1,2,3,4\n1,2,3,4\n1,2,3,4\n": "needs the header center,dx,dy,dz",
-    "1,2,3\n1,2\n1,2,3\n": "row 1 (from 0) has 2 columns instead of 3",
-    "1,2,3\n1,a,2\n1,2,3\n": "'a', which is not a number",
+    "1,2,3\n1,2\n1,2,3\n": "row 1 (from 0) has 2 fields instead of 3",
+    "1,2,3\n1,a,2\n1,2,3\n": "row 1 (from 0) has 'a' where a number is expected",
     "1,2,3\n1,nan,2\n1,2,3\n": "row 1 (from 0) is not finite",
     "1,2,3\n1,2,2\n1,2,1e999\n": "row 2 (from 0) is not finite",
     "center,dx,dy,dz\n0,1,2,3\n1,1,2,3\n1,1,2,3\n": "each of 0 to 2 once",
-    "center,dx,dy,dz\n": "shape is [0, 3]",
+    "center,dx,dy,dz\n": "there are no lines with numbers in it",
     "center,wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n": "give it with --weights",
     "a,b,c\n1,2,3\n1,2,3\n1,2,3\n": "center,dx,dy,dz is expected",
     "PK\x03\x04 no archive": "cannot be read",
-    "\x93NUMPY": "neither a table",
+    "\x93NUMPY": "cannot be read",
 }
 
 

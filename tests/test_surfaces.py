@@ -211,9 +211,9 @@ def test_empty_surface(tmp_path, name, content):
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
-        ("nan.xyz", "0 0 nan\n1 2 3\ninf 0 0\n4 4 4\n", "2 of 4 vertices have coordinates that are not finite"),
-        ("nan.obj", "v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "1 of 3 vertices have coordinates that are not finite"),
-        ("nan.vtk", POLYGONS.replace("2 2 0", "nan 2 0") + "POLYGONS 1 4\n3 0 1 3\n", "1 of 4 vertices"),
+        ("nan.xyz", "0 0 nan\n1 2 3\ninf 0 0\n4 4 4\n", "2 of 4 points have coordinates that are not finite"),
+        ("nan.obj", "v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "1 of 3 points have coordinates that are not finite"),
+        ("nan.vtk", POLYGONS.replace("2 2 0", "nan 2 0") + "POLYGONS 1 4\n3 0 1 3\n", "1 of 4 points"),
         ("one.xyz", "1 2 3\n", "only one point"),
         ("same.csv", "1,2,3\n1,2,3\n1,2,3\n", "all 3 points coincide"),
         ("far.xyz", "1e200 0 0\n0 0 0\n1 1 1\n", "check the file's units"),

@@ -392,3 +392,12 @@ def test_a_total_below_the_rows_is_left_out_and_told(tmp_path):
     found = vertex_arrays.vertex_array(write(tmp_path, "a.csv", table), template(), "sensitivity")
     np.testing.assert_array_equal(found.values, PICKED)
     assert "its last row, 'Total,,," in found.note
+
+
+def test_a_first_value_that_could_be_the_number_of_rows_is_a_value(tmp_path):
+    numbers = "4\n1\n2.5\n3\n0.5\n"
+    found = vertex_array(write(tmp_path, "a.csv", numbers), template(), "sensitivity")
+    np.testing.assert_array_equal(found, np.array([4, 1, 2.5, 3, 0.5])[ROWS])
+    counted = "5\n" + "".join(" ".join(map(repr, row)) + "\n" for row in VECTORS.tolist())
+    found = vertex_array(write(tmp_path, "b.txt", counted), template(), "sensitivity")
+    np.testing.assert_array_equal(found, VECTORS[ROWS])

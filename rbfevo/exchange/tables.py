@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from rbfevo.errors import UserError
+from rbfevo.meshes.tables import read_table
 from rbfevo.record import Array
 
 _SAME = 1e-6  # of the largest coordinate: spreadsheets round
@@ -58,30 +59,11 @@ def _archive(content: bytes, what: str) -> Array:
 
 
 def _csv(content: bytes, what: str) -> Array:
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise UserError("it is neither a table in text nor an NPY or NPZ file") from None
-    lines = [line.strip() for line in text.splitlines()]
-    lines = [line for line in lines if line.strip(",; \t") and not line.startswith("#")]
-    if not lines:
+    if not content.strip():
         raise UserError("the file is empty")
-    separator = ";" if ";" in lines[0] else "," if "," in lines[0] else None
-    cells = [[cell.strip().strip("\"'") for cell in line.split(separator)] for line in lines]
-    if separator == ";":
-        cells = [[cell.replace(",", ".") for cell in row] for row in cells]
-    header = None
-    if not all(_is_number(cell) for cell in cells[0]):
-        header, cells = [cell.lower() for cell in cells[0]], cells[1:]
-    width = len(header or cells[0]) if header or cells else 0
-    for number, row in enumerate(cells):
-        if len(row) != width:
-            raise UserError(f"row {number} (from 0) has {len(row)} columns instead of {width}")
-        wrong = [cell for cell in row if not _is_number(cell)]
-        if wrong:
-            raise UserError(f"row {number} (from 0) has {wrong[0][:40]!r}, which is not a number")
-    rows = np.array(cells, dtype=np.float64).reshape(len(cells), width)
-    return rows if header is None else _ordered(rows, header, what)
+    table = read_table(content)
+    rows = table.numbers()
+    return rows if table.header is None else _ordered(rows, [name.lower() for name in table.header], what)
 
 
 def _ordered(rows: Array, header: list[str], what: str) -> Array:
@@ -136,11 +118,3 @@ def _checked(rows: Array, m: int, heights: bool) -> Array:
     if rows.shape[1] == 1:
         rows = np.column_stack([np.zeros((m, 2)), rows])
     return rows
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True

@@ -93,13 +93,13 @@ def opened(path: str | Path) -> Iterator[Mesh]:
         except FormatError as error:
             raise UserError(f"{path}: not a readable {ending[1:].upper()} file ({error})") from None
         except Exception as error:  # loaders raise whatever they like on a damaged file
-            said = " ".join(str(error).split())[:200] or type(error).__name__
-            raise UserError(f"{path}: damaged: not a readable {ending[1:].upper()} file ({said})") from None
+            reason = " ".join(str(error).split())[:200] or type(error).__name__
+            raise UserError(f"{path}: damaged: not a readable {ending[1:].upper()} file ({reason})") from None
         yield mesh
 
 
 def ending_of(path: Path) -> str:
-    """The ending of a file's name that says its format, in small letters, as `.ply` or `.vol.gz`."""
+    """The ending of a file's name, in lower case, which decides its format, as `.ply` or `.vol.gz`."""
     double = "".join(path.suffixes[-2:]).lower()
     return double if double in ENDINGS else path.suffix.lower()
 
@@ -128,12 +128,18 @@ def _is_blank(path: Path) -> bool:
 
 
 def refuse_bad_points(path: Path, points: Array) -> None:
-    """Raise UserError if a file's points [n, 3] are not finite, or too large to be squared."""
+    """Raise UserError if a file's points [n, 3] are not all finite, or too large to be squared."""
     bad = int((~np.isfinite(points)).any(axis=1).sum())
     if bad:
         raise UserError(f"{path}: {bad} of {len(points)} points have coordinates that are not finite (NaN or infinite)")
-    if np.abs(points).max() > 1e100:
-        raise UserError(f"{path}: a coordinate is as large as {np.abs(points).max():.1e}; check the file's units")
+    refuse_huge(path, points)
+
+
+def refuse_huge(path: Path | str, points: Array) -> None:
+    """Raise UserError if finite points [n, 3] are too large to be squared."""
+    largest = float(np.abs(points).max())
+    if largest > 1e100:
+        raise UserError(f"{path}: a coordinate is as large as {largest:.1e}; check the file's units")
 
 
 def refuse_ending(mesh: Path, out: Path) -> None:
@@ -144,7 +150,7 @@ def refuse_ending(mesh: Path, out: Path) -> None:
 
 
 def write(mesh: Mesh, source: Path, moved: Array, displacement: Array, out: Path) -> list[str]:
-    """Write a mesh with moved points [n, 3], whole, in the format that the ending of `out` says; return notes.
+    """Write a mesh with moved points [n, 3], whole, in the format of the ending of `out`; return notes.
 
     Raises:
         UserError: if it cannot be written.

@@ -81,9 +81,9 @@ def check(cells: Cells, count: int) -> None:
 
 
 def counts(cells: Cells) -> dict[str, int]:
-    """How many cells there are of each sort: triangles, quadrilaterals, polygons, lines, and the solids by name."""
+    """How many cells there are of each name: triangles, quadrilaterals, polygons, lines, and the solids by name."""
     of = np.bincount(cells.kinds, minlength=256)
-    sorts = {
+    kinds_of = {
         "triangles": TRIANGLES,
         "quadrilaterals": (*QUADS, PIXEL),
         "polygons": (POLYGON, CURVED_POLYGON),
@@ -92,7 +92,7 @@ def counts(cells: Cells) -> dict[str, int]:
         "lines": LINES,
         "points": POINTS[1:],
     }
-    found = {name: int(of[list(kinds)].sum()) for name, kinds in sorts.items()}
+    found = {name: int(of[list(kinds)].sum()) for name, kinds in kinds_of.items()}
     found["cells of an unknown kind"] = int(of.sum() - of[0] - sum(found.values()))
     return {name: count for name, count in found.items() if count}
 
@@ -205,10 +205,10 @@ class Volumes(NamedTuple):
 
 
 def volumes(points: Array, moved: Array, cells: Cells) -> list[Volumes]:
-    """The signed volumes of solid cells before and after a move, for each sort of them.
+    """The signed volumes of solid cells before and after a move, for each name of them.
 
     A volume is that within the cell's faces, quadrilaterals as bilinear patches [divergence theorem]. Along the way
-    from `points` to `moved` it is a cubic polynomial, whose first root says how far all cells keep their sign.
+    from `points` to `moved` it is a cubic polynomial, whose first root is how far all cells keep their sign.
     """
     found = []
     for name in solids(cells):

@@ -46,7 +46,7 @@ def read_cloud(content: bytes) -> Mesh:
 
 
 def plot3d(content: bytes) -> str:
-    """What blocks a PLOT3D file in text has, in words; empty if it is none."""
+    """A description of the blocks of a PLOT3D file in text; empty if the file is none."""
     words = content.split()
     for single in (True, False):
         head = words[:3] if single else words[: 1 + 3 * (int(words[0]) if words and words[0].isdigit() else 0)]

@@ -79,7 +79,7 @@ def recognized(header: Sequence[str]) -> Columns:
 
 
 def _axis(name: str) -> int | None:
-    """0, 1 or 2 if a column's name says that it is the x, y or z of the points."""
+    """0, 1 or 2 if a column's name is that of the points' x, y or z."""
     found = _COORDINATE.fullmatch(name)
     if not found:
         return None

@@ -26,8 +26,8 @@ def read_glb(content: bytes) -> Mesh:
     Patches are the nodes, by name.
 
     Raises:
-        FormatError: if there are no points in it, or not all of its vertices are read. What else is wrong, trimesh says
-            with any exception.
+        FormatError: if there are no points in it, or not all of its vertices are read. Other faults are trimesh's
+            exceptions.
     """
     import trimesh
 
@@ -81,7 +81,7 @@ def read_glb(content: bytes) -> Mesh:
 
 
 def _numbered(content: bytes) -> tuple[dict[str, Any], bytes]:
-    """What the file says of its scene, and the file with its nodes named by their numbers: names need not differ.
+    """The JSON of the file's scene, and the file with its nodes named by their numbers: names need not differ.
 
     Raises:
         FormatError: if it is no GLB file, or cut off.

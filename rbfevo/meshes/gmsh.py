@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rbfevo.meshes.mesh import Array, Cells, FormatError, Ints, Mesh, narrowed, written_as
+from rbfevo.meshes.numbered import places_of
 from rbfevo.meshes.places import Places, integers, lines
 from rbfevo.meshes.places import numbers as floats
 
@@ -377,23 +378,16 @@ def _mesh(content: bytes, found: _Found, places: Places) -> Mesh:
     numbers = np.concatenate(found.numbers)
     if len(numbers) != len(points):
         raise FormatError(f"it has {len(numbers)} numbers of nodes for {len(points)} nodes")
-    order = np.argsort(numbers, kind="stable")
-    listed = numbers[order]
-    twice = int((np.diff(listed) == 0).sum())
+    twice = len(numbers) - len(np.unique(numbers))
     if twice:
         raise FormatError(f"{twice} numbers of nodes are there twice")
-
-    def of(nodes: Ints) -> Ints:
-        place = np.minimum(np.searchsorted(listed, nodes), len(listed) - 1)
-        wrong = int((listed[place] != nodes).sum())
-        if wrong:
-            raise FormatError(f"its elements refer to {wrong} nodes that are not there")
-        return order[place]
-
     cells, patches, entities, count, curved = [], {}, {}, 0, 0
     for block in found.blocks:
         vtk = _TYPES[block.kind][0]
-        corners = of(np.array(block.nodes, np.int64).reshape(len(block.nodes), _nodes_of(block.kind)))
+        nodes = np.array(block.nodes, np.int64).reshape(len(block.nodes), _nodes_of(block.kind))
+        corners, there = places_of(nodes, numbers)
+        if not there.all():
+            raise FormatError(f"its elements refer to {int((~there).sum())} nodes that are not there")
         if vtk in _CORNERS and corners.shape[1] > _CORNERS[vtk]:
             curved += len(corners)
             corners = corners[:, : _CORNERS[vtk]]
@@ -439,8 +433,6 @@ def _rewriter(content: bytes, found: _Found, places: Places) -> Callable[[Array]
 def _array(numbers: Ints, values: Array, own: Ints) -> Array:
     """Values in the order of a mesh's own numbers; NaN where there is none."""
     table = np.full((len(own), values.shape[1]), np.nan)
-    order = np.argsort(own, kind="stable")
-    place = np.minimum(np.searchsorted(own[order], numbers), len(own) - 1)
-    there = own[order][place] == numbers
-    table[order[place[there]]] = values[there]
+    place, there = places_of(numbers, own)
+    table[place[there]] = values[there]
     return table[:, 0] if table.shape[1] == 1 else table

@@ -47,7 +47,7 @@ def read_kratos(content: bytes) -> Mesh:
             if kind is None:
                 unknown[name] = unknown.get(name, 0) + 1
             else:
-                numbered.cell(number, kind, nodes, sort=block[0])
+                numbered.cell(number, kind, nodes, collection=block[0])
         elif block[0].startswith("SubModelPart") and block[0].removeprefix("SubModelPart") in _BLOCKS:
             path = "/".join(entry[1] for entry in stack if entry[0] == "SubModelPart" and len(entry) > 1)
             sets.append((path, block[0].removeprefix("SubModelPart"), integers(line, "a sub model part")))
@@ -57,8 +57,8 @@ def read_kratos(content: bytes) -> Mesh:
         raise FormatError(
             f"it has elements that are not read: {', '.join(f'{n} {name}' for name, n in unknown.items())}"
         )
-    for path, sort, members in sets:
-        numbered.patch(path, members, sort=sort)
+    for path, collection, members in sets:
+        numbered.patch(path, members, collection=collection)
     mesh = numbered.mesh()
     return Mesh(places.points(), written_as(places.rewritten), mesh.cells, patches=mesh.patches, numbers=mesh.numbers)
 

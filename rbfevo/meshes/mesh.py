@@ -20,7 +20,7 @@ Triangles = Ints
 
 
 class FormatError(ValueError):
-    """What is wrong with a file's contents, in a few words; `rbfevo.meshes.opened` says which file."""
+    """What is wrong with a file's contents, in a few words; `rbfevo.meshes.opened` adds the file."""
 
 
 class Faces(NamedTuple):
@@ -134,5 +134,5 @@ def narrowed(points: Array, dtype: np.dtype) -> Array:
 
 
 def stale_normals(there: bool) -> list[str]:
-    """What to say of a file whose vertex normals stay as they were."""
+    """The note on a file whose vertex normals stay as they were."""
     return ["its vertex normals are kept as they were and do not fit the deformed shape"] if there else []

@@ -6,8 +6,16 @@ import dataclasses
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rbfevo.meshes.mesh import Array, Cells, FormatError, Ints
+
+
+def places_of(wanted: Ints, numbers: Ints) -> tuple[Ints, NDArray[np.bool_]]:
+    """Where numbers, of any shape, stand among the unequal `numbers` [n], and which of them do so at all."""
+    order = np.argsort(numbers, kind="stable")
+    place = order[np.minimum(np.searchsorted(numbers, wanted, sorter=order), len(numbers) - 1)]
+    return place, numbers[place] == wanted
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +29,8 @@ class Connected:
 
 
 class Numbered:
-    """Collects nodes and cells. Each `scope` (a part) has numbers of its own, and of cells each `sort` in it."""
+    """Collects nodes and cells. Each `scope` (a part) has numbers of its own, and of cells each
+    `collection` in it (Kratos' elements, conditions and geometries)."""
 
     def __init__(self) -> None:
         self._points: list[Sequence[float]] = []
@@ -49,19 +58,20 @@ class Numbered:
         nodes: Sequence[int],
         patches: Iterable[str] = (),
         scope: str = "",
-        sort: str = "",
+        collection: str = "",
     ) -> None:
         """Add a cell of one of VTK's kinds, by the numbers of its nodes."""
-        self._cell[scope, sort, number] = len(self._kinds)
+        self._cell[scope, collection, number] = len(self._kinds)
         for patch in patches:
             self._patches.setdefault(patch, []).append(len(self._kinds))
         self._kinds.append(kind)
         self._nodes.append((scope, nodes))
 
-    def patch(self, name: str, numbers: Iterable[int], scope: str = "", sort: str = "") -> None:
+    def patch(self, name: str, numbers: Iterable[int], scope: str = "", collection: str = "") -> None:
         """Add cells to a patch by their numbers; those that are none of the cells are passed over."""
         own = self._patches.setdefault(name, [])
-        own.extend(self._cell[scope, sort, number] for number in numbers if (scope, sort, number) in self._cell)
+        keys = [(scope, collection, number) for number in numbers]
+        own.extend(self._cell[key] for key in keys if key in self._cell)
 
     def join(self, name: str, other: str) -> None:
         """Add the cells of another patch, if there is one, to a patch."""

@@ -123,7 +123,7 @@ def numbers(words: Sequence[bytes], what: str, each: int) -> Array:
 
 
 def integers(line: bytes, what: str) -> list[int]:
-    """Whole numbers of a line; FormatError says in which `what` something else stands."""
+    """Whole numbers of a line; FormatError names the `what` in which something else stands."""
     try:
         return [int(word) for word in line.split()]
     except ValueError:

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from rbfevo.errors import UserError
 from rbfevo.meshes.mesh import Array, Ints
+from rbfevo.meshes.numbered import places_of
+from rbfevo.scenarios import topology
 from rbfevo.scenarios.templates import Template
+from rbfevo.scenarios.units import nearest_unit
 
 MATCHES = ("exact", "nearest", "interpolate")
 AGREE = 1e-4  # of the template's longest side: spreadsheets often hold six digits
 FAR = 0.2  # of the same: rows of another mesh that lie farther are not of the same surface
-_UNITS = (1e-3, 1.0 / 304.8, 1e-2, 1.0 / 39.3700787, 1.0 / 25.4, 25.4, 39.3700787, 100.0, 304.8, 1e3)
 _NEIGHBOURS = 8
 
 
@@ -54,34 +56,29 @@ def by_ids(ids: Array, name: str, template: Template) -> Match:
     """
     if (ids != np.round(ids)).any():
         raise UserError(f"its column '{name}' holds numbers that are not whole; ids of points are expected")
-    order = np.argsort(ids, kind="stable")
-    listed = ids[order]
-    twice = int((np.diff(listed) == 0).sum())
+    twice = len(ids) - len(np.unique(ids))
     if twice:
         raise UserError(f"its column '{name}' holds {twice} ids twice")
-
-    def found(numbers: Ints) -> Ints | None:
-        place = np.minimum(np.searchsorted(listed, numbers), len(listed) - 1)
-        return order[place] if np.array_equal(listed[place], numbers) else None
-
     if template.numbers is not None:
-        rows = found(template.numbers[template.rows])
-        if rows is not None:
-            return Match(rows, None, f"rows by '{name}', the file's numbers of its points")
+        own = {"the file's numbers of its points": template.numbers[template.rows]}
     else:
-        zero, one = found(template.rows), found(template.rows + 1)
-        if zero is not None and one is not None and len(ids) != template.count:
+        own = {f"from {first}": template.rows + first for first in (0, 1)}
+    found = {}
+    for title, numbers in own.items():
+        rows, there = places_of(numbers, ids)
+        if there.all():
+            found[title] = rows
+    if found:
+        if len(found) > 1 and len(ids) != template.count:
             raise UserError(
-                f"its column '{name}' may count the mesh's {template.count} points from 0 or from 1; add columns "
-                "x, y, z, "
-                "or leave out the rows of other points"
+                f"its column '{name}' may count the mesh's {template.count} points from 0 or from 1; add "
+                "columns x, y, z, or leave out the rows of other points"
             )
-        if zero is not None or one is not None:
-            start = 0 if zero is not None else 1
-            return Match(zero if zero is not None else one, None, f"rows by '{name}', from {start}")  # pyright: ignore[reportArgumentType]
+        title, rows = next(iter(found.items()))
+        return Match(rows, None, f"rows by '{name}', {title}")
     known = template.numbers if template.numbers is not None else np.array([0, template.count - 1])
     raise UserError(
-        f"its column '{name}' ({listed[0]:.0f} to {listed[-1]:.0f}, {len(ids)} rows) does not hold the numbers of the "
+        f"its column '{name}' ({ids.min():.0f} to {ids.max():.0f}, {len(ids)} rows) does not hold the numbers of the "
         f"mesh's points ({known.min()} to {known.max()}"
         + ("" if template.numbers is not None else f", or 1 to {template.count}")
         + "); leave it out if the rows have the order of the points, or add columns x, y, z"
@@ -132,8 +129,7 @@ def by_coordinates(places: Array, axes: tuple[int, ...], unit: str, template: Te
         if distance.max() > FAR * extent:
             raise UserError(
                 f"the nearest row of a vertex is {distance.max():.3g} away, of a longest side of {extent:.3g}: "
-                "its rows are "
-                "not of the same surface, or of a part of it"
+                "its rows are not of the same surface, or of a part of it"
             )
         note = f"largest distance {distance.max():.3g}, mean {distance.mean():.3g}, of a longest side of {extent:.3g}"
         if match == "nearest":
@@ -146,24 +142,22 @@ def by_coordinates(places: Array, axes: tuple[int, ...], unit: str, template: Te
         )
     raise UserError(
         f"its coordinates differ from the mesh's: {int(off.sum())} of {len(off)} vertices have no row within "
-        f"{allowed:.2g}, "
-        f"the nearest of one is {distance.max():.3g} away; scenario.sensitivity_match=nearest or interpolate takes the "
-        "values of another mesh of the same surface"
+        f"{allowed:.2g}, the nearest row of one is {distance.max():.3g} away; scenario.sensitivity_match=nearest or "
+        "interpolate takes the values of another mesh of the same surface"
     )
 
 
 def _ask_about_units(places: Array, vertices: Array, unit: str) -> None:
     """Raise UserError if the coordinates are the mesh's in another unit."""
-    its, mine = (np.linalg.norm(np.ptp(points, axis=0)) for points in (places, vertices))
+    its, mine = (float(np.linalg.norm(np.ptp(points, axis=0))) for points in (places, vertices))
     if its <= 0 or mine <= 0:
         return
-    factor = min(_UNITS, key=lambda each: abs(math.log(each * mine / its)))
+    factor = nearest_unit(its / mine)
     if abs(math.log(factor * mine / its)) < 0.02:
         named = f" (its header says {unit})" if unit else ""
         raise UserError(
             f"its coordinates are {factor:.6g} times the mesh's{named}: another unit? Give both in one unit: "
-            "multiply its "
-            f"columns x, y, z by {1.0 / factor:.6g}; and mind the unit of the values"
+            f"multiply its columns x, y, z by {1.0 / factor:.6g}; and mind the unit of the values"
         )
 
 
@@ -189,8 +183,7 @@ def from_cells(values: Array, template: Template, kind: str) -> Array:
             vertex takes the mean by areas; `marks`: a vertex of a marked cell is marked.
     """
     triangles, n = template.triangles, len(template.vertices)
-    a, b, c = np.moveaxis(template.vertices[triangles], 1, 0)
-    areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2.0
+    areas = topology.areas(template.vertices, triangles)
     rows = values[template.cell].reshape(len(triangles), -1)
     if kind == "marks":
         weights = np.ones(len(areas))

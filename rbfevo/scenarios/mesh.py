@@ -22,6 +22,7 @@ from rbfevo.scenarios.pairing import REJECTIONS, Pairing, pair
 from rbfevo.scenarios.scenario import Sampler, Scenario, near_one, times_power_of_two, unit_gradient
 from rbfevo.scenarios.surfaces import checked_extent, read_surface
 from rbfevo.scenarios.templates import Template, read_template
+from rbfevo.scenarios.units import nearest_unit
 from rbfevo.scenarios.vertex_arrays import vertex_array
 
 WEIGHTS = ("uniform", "area")
@@ -105,8 +106,7 @@ def mesh(
         if given.other_mesh and sensitivity_kind == "nodal":
             raise UserError(
                 f"scenario.sensitivity_match={sensitivity_match}: integrated values of another mesh depend on its "
-                "cells; "
-                "give values per area, with scenario.sensitivity_kind=density"
+                "cells; give values per area, with scenario.sensitivity_kind=density"
             )
         if not np.any(values):
             raise UserError(f"scenario.sensitivity={sensitivity}: it is zero at every vertex: nothing wants to move")
@@ -241,7 +241,7 @@ def _paired(
     if scale is None and not 1.0 / MIXED_UNITS < its / mine < MIXED_UNITS:
         raise UserError(
             f"{target}: the target's diagonal is {its:.4g}, the template's {mine:.4g}: are these two units? "
-            f"scenario.target_scale={_nearest_unit(mine / its):g} scales the target, scenario.target_scale=1 leaves it"
+            f"scenario.target_scale={nearest_unit(mine / its):g} scales the target, scenario.target_scale=1 leaves it"
         )
     points, triangles = placement.merge_coincident(points, triangles)
     if triangles is not None and len(triangles) == 0:
@@ -274,11 +274,6 @@ def _doubts(design: _Design, template: str, source: str, read: Template, values:
             "names each vertex. A VTP file with the array in it leaves no doubt"
         )
     return said
-
-
-def _nearest_unit(factor: float) -> float:
-    units = (1e-3, 1.0 / 304.8, 1e-2, 1.0 / 39.3700787, 1.0 / 25.4, 25.4, 39.3700787, 100.0, 304.8, 1e3)
-    return min(units, key=lambda unit: abs(math.log(unit / factor)))
 
 
 def _convention(source: str, values: NDArray[np.float64], kind: str, objective: str) -> str:

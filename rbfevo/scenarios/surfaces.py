@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rbfevo.errors import UserError
-from rbfevo.meshes import FormatError, Mesh, opened
+from rbfevo.meshes import FormatError, Mesh, opened, refuse_bad_points, refuse_huge
 from rbfevo.meshes.mesh import Points, Triangles
 from rbfevo.meshes.surface import Surface, surface_of
 from rbfevo.names import existing_home
@@ -45,21 +45,13 @@ def surface(path: Path, mesh: Mesh, patches: Sequence[str] | None = None) -> Sur
     """
     try:
         return surface_of(mesh, patches)
-    except FormatError as error:
-        raise UserError(f"{path}: {error}") from None
-    except UserError as error:
+    except (FormatError, UserError) as error:
         raise UserError(f"{path}: {error}") from None
 
 
 def refuse_points(path: Path, points: Points) -> None:
-    """Raise UserError if points [n, 3] are none, one, not finite, too large or all in one place."""
-    if len(points) == 0:
-        raise UserError(f"{path}: empty or damaged, there are no vertices in it")
-    bad = int((~np.isfinite(points)).any(axis=1).sum())
-    if bad:
-        raise UserError(
-            f"{path}: {bad} of {len(points)} vertices have coordinates that are not finite (NaN or infinite)"
-        )
+    """Raise UserError if points [n, 3] are only one, not finite, too large or all in one place."""
+    refuse_bad_points(path, points)
     if len(points) == 1:
         raise UserError(f"{path}: there is only one point; a surface or cloud needs more")
     checked_extent(path, points)
@@ -67,9 +59,7 @@ def refuse_points(path: Path, points: Points) -> None:
 
 def checked_extent(path: Path | str, vertices: Points) -> float:
     """Return the longest side of the box of finite vertices [n, 3]; UserError if it is beyond what can be squared."""
-    largest = np.abs(vertices).max()
-    if largest > 1e100:
-        raise UserError(f"{path}: a coordinate is as large as {largest:.1e}; check the file's units")
+    refuse_huge(path, vertices)
     extent = float(np.ptp(vertices, axis=0).max())
     if extent < 1e-100:
         raise UserError(f"{path}: all {len(vertices)} points coincide at {tuple(vertices[0].tolist())}")

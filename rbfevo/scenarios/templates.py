@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from rbfevo.errors import UserError
 from rbfevo.meshes import cells, opened
 from rbfevo.meshes.mesh import Array, Mesh, Points, Triangles
+from rbfevo.meshes.surface import Surface
 from rbfevo.names import existing_home
 from rbfevo.scenarios.surfaces import checked_extent, surface
 
@@ -64,7 +65,15 @@ def read_template(path: str | Path, patches: Sequence[str] | None = None) -> Tem
     path = existing_home(path)
     with opened(path) as mesh:
         pass
-    found = surface(path, mesh, patches)
+    return template_of(path, mesh, surface(path, mesh, patches))
+
+
+def template_of(path: Path, mesh: Mesh, found: Surface) -> Template:
+    """The template that a file's mesh makes with a surface of it, as `read_template` describes it.
+
+    Raises:
+        UserError: if the surface is not usable.
+    """
     points, triangles, notes = mesh.points, found.triangles, mesh.notes | found.notes
     if not len(triangles):
         raise UserError(f"{path}: {_without_faces(mesh)}")
@@ -115,8 +124,7 @@ def _without_faces(mesh: Mesh) -> str:
     if lines:
         return (
             f"holds a curve ({lines} lines) and no faces; rbfevo deforms surfaces: extrude the curve by one cell, "
-            "or give "
-            "the mesh of the plane or volume that it bounds"
+            "or give the mesh of the plane or volume that it bounds"
         )
     return f"holds {len(mesh.points)} points but no faces (a cloud, or damaged?); a surface with faces is wanted"
 

@@ -112,9 +112,8 @@ def inward(vertices: Points, triangles: Triangles) -> bool:
     if not border.size:
         return False
     a, b, c = np.moveaxis(vertices[triangles] - vertices[border].mean(axis=0), 1, 0)
-    volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
-    area = float(np.linalg.norm(_doubled_areas(vertices, triangles), axis=1).sum()) / 2.0
-    return volume < -_FLAT * area**1.5
+    enclosed = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
+    return enclosed < -_FLAT * float(areas(vertices, triangles).sum()) ** 1.5
 
 
 def rim(vertices: Points, triangles: Triangles) -> NDArray[np.int64]:
@@ -131,10 +130,21 @@ def vertex_normals(vertices: Points, triangles: Triangles) -> Points:
     return np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 0.0)
 
 
+def areas(vertices: Points, triangles: Triangles) -> NDArray[np.float64]:
+    """Return the areas [f] of triangles, in squared units."""
+    return np.linalg.norm(_doubled_areas(vertices, triangles), axis=1) / 2.0
+
+
+def volume(vertices: Points, triangles: Triangles) -> float:
+    """Return the signed volume that a closed surface encloses, positive where its normals point outwards."""
+    extent = float(np.ptp(vertices, axis=0).max())
+    return float(_volumes(vertices, triangles, np.zeros(len(triangles), np.int64), 1)[0]) * extent**3
+
+
 def vertex_areas(vertices: Points, triangles: Triangles) -> NDArray[np.float64]:
     """Return the area [n] of the surface about each vertex: a third of each of its triangles', in squared units."""
-    areas = np.linalg.norm(_doubled_areas(vertices, triangles), axis=1, keepdims=True) / 6.0
-    return _summed(areas, triangles, len(vertices))[:, 0]
+    thirds = areas(vertices, triangles)[:, None] / 3.0
+    return _summed(thirds, triangles, len(vertices))[:, 0]
 
 
 @dataclasses.dataclass(frozen=True)

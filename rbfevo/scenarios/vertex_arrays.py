@@ -112,8 +112,8 @@ def _read(path: Path, template: Template, what: str, match: str, kind: str) -> V
         raise UserError(f"not a readable {path.suffix[1:].upper()} file ({error})") from None
     except Exception as error:  # NumPy and zipfile raise whatever they like on a damaged file
         lines = str(error).strip().splitlines()
-        said = lines[0].strip()[:160] if lines else type(error).__name__
-        raise UserError(f"not a readable {path.suffix[1:].upper()} file ({said})") from None
+        reason = lines[0].strip()[:160] if lines else type(error).__name__
+        raise UserError(f"not a readable {path.suffix[1:].upper()} file ({reason})") from None
 
 
 def _load(path: Path, what: str) -> NDArray:
@@ -203,8 +203,7 @@ def _nameless(table: Table, template: Template) -> tuple[Columns, tuple[int, ...
         if len(like) == 2:
             raise UserError(
                 "its three columns have no names, and two of them are coordinates of the mesh: no vector; add a "
-                "line that "
-                "names them, as x,y,value"
+                "line that names them, as x,y,value"
             )
         return nothing, (0, 1, 2)
     first = numbers[:, 0]
@@ -236,22 +235,21 @@ def _chosen(table: Table, columns: Columns, what: str) -> Group:
         if zero and len(zero) < len(related):
             full = [group for group in related if group not in zero]
             raise UserError(
-                f"{_said(zero, names)} is zero in every row, {_said(full, names)} is not: which one is meant? "
-                "Leave the "
-                "other one out"
+                f"{_headings(zero, names)} is zero in every row, {_headings(full, names)} is not: "
+                "which one is meant? Leave the other one out"
             )
     vectors = [group for group in candidates if len(group.columns) > 1]
     candidates = vectors if (own or near) and len(vectors) == 1 else candidates
     if len(candidates) != 1:
         raise UserError(
             f"it has {len(candidates)} columns or vectors of values "
-            f"({'; '.join(_said([g], names) for g in candidates)}); "
+            f"({'; '.join(_headings([g], names) for g in candidates)}); "
             f"name the one that is meant {what} (or {what}_x, {what}_y, {what}_z), or leave the others out"
         )
     return candidates[0]
 
 
-def _said(groups: list[Group], names: list[str]) -> str:
+def _headings(groups: list[Group], names: list[str]) -> str:
     return ", ".join(names[column] for group in groups for column in group.columns)
 
 
@@ -259,8 +257,8 @@ def _shaped(values: Array) -> None:
     """Raise UserError if values are not [r], [r, 1] or [r, 3]."""
     if values.ndim not in (1, 2) or (values.ndim == 2 and values.shape[1] not in (1, 3)):
         shape = " x ".join(str(side) for side in values.shape)
-        said = f"it has {values.shape[1]} columns" if values.ndim == 2 else f"it is of shape {shape or 'none'}"
-        raise UserError(f"{said}; one number or a vector of three for each point is wanted")
+        shown = f"it has {values.shape[1]} columns" if values.ndim == 2 else f"it is of shape {shape or 'none'}"
+        raise UserError(f"{shown}; one number or a vector of three for each point is wanted")
 
 
 def _fitting(values: Array, template: Template) -> Array:
