@@ -9,12 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 import pytest
 import pyvista
 import trimesh
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rbfevo import meshes
@@ -528,6 +527,84 @@ def test_files_of_several_parts(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.points, mesh.points + 1.0)
 
 
+def cgns(path: Path, families: bool) -> None:
+    """A CGNS file by hand: two hexahedra, the six faces of them in x = 0 and x = 2 and y = 0, and two conditions."""
+    h5py = pytest.importorskip("h5py")
+    text = lambda word: np.frombuffer(word, np.int8)  # noqa: E731
+    kinds = {"int8": b"C1", "int32": b"I4", "float32": b"R4", "float64": b"R8"}
+
+    def node(parent: Any, name: str, label: bytes, values: Any = None) -> Any:
+        made = parent.create_group(name)
+        kind = b"MT" if values is None else kinds[values.dtype.name]
+        for key, word, length in (("name", name.encode(), 33), ("label", label, 33), ("type", kind, 3)):
+            made.attrs.create(key, np.bytes_(word), dtype=f"S{length}")
+        made.attrs["flags"] = np.array([1], np.int32)
+        if values is not None:
+            made[" data"] = values
+        return made
+
+    with h5py.File(path, "w") as file:
+        for key, word, length in (
+            ("name", b"HDF5 MotherNode", 33),
+            ("label", b"Root Node of HDF5 File", 33),
+            ("type", b"MT", 3),
+        ):
+            file.attrs.create(key, np.bytes_(word), dtype=f"S{length}")
+        file[" format"] = text(b"IEEE_LITTLE_32\0")
+        file[" hdf5version"] = text(b"HDF5 Version 1.14.0".ljust(33, b"\0"))
+        node(file, "CGNSLibraryVersion", b"CGNSLibraryVersion_t", np.array([3.3], np.float32))
+        base = node(file, "Base", b"CGNSBase_t", np.array([3, 3], np.int32))
+        zone = node(base, "Zone", b"Zone_t", np.array([[12], [2], [0]], np.int32))
+        node(zone, "ZoneType", b"ZoneType_t", text(b"Unstructured"))
+        grid = node(zone, "GridCoordinates", b"GridCoordinates_t")
+        for axis, values in zip(
+            "XYZ", np.array([[i, j, k] for k in (0.0, 1) for j in (0, 1) for i in range(3)]).T, strict=True
+        ):
+            node(grid, f"Coordinate{axis}", b"DataArray_t", np.ascontiguousarray(values))
+        hexes = [[i, i + 1, i + 4, i + 3, i + 6, i + 7, i + 10, i + 9] for i in (1, 2)]
+        faces = [[1, 7, 10, 4], [3, 6, 12, 9], [1, 2, 8, 7], [2, 3, 9, 8]]
+        for name, kind, first, rows in (
+            ("Cells", 17, 1, hexes),
+            ("inlet", 7, 3, faces[:2]),
+            ("floor", 7, 5, faces[2:]),
+        ):
+            section = node(zone, name, b"Elements_t", np.array([kind, 0], np.int32))
+            node(section, "ElementRange", b"IndexRange_t", np.array([first, first + len(rows) - 1], np.int32))
+            node(section, "ElementConnectivity", b"DataArray_t", np.ravel(rows).astype(np.int32))
+        conditions = node(zone, "ZoneBC", b"ZoneBC_t")
+        for name, rows in (("ends", [3, 4]), ("bottom", [5, 6])):
+            condition = node(conditions, name, b"BC_t", text(b"FamilySpecified" if families else b"BCInflow"))
+            node(condition, "PointRange", b"IndexRange_t", np.array([[rows[0]], [rows[1]]], np.int32))
+            node(condition, "GridLocation", b"GridLocation_t", text(b"FaceCenter"))
+            if families:
+                node(condition, "FamilyName", b"FamilyName_t", text(name.encode()))
+                node(base, name, b"Family_t")
+
+
+@pytest.mark.parametrize(("families", "names"), [(True, ["ends", "bottom"]), (False, ["inlet", "floor"])])
+def test_cgns_has_its_boundary_conditions_or_its_sections_as_patches(
+    families: bool, names: list[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "a.cgns"
+    cgns(path, families)
+    with meshes.opened(path) as mesh:
+        np.testing.assert_array_equal(mesh.points[:4], [[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0]])
+        assert sorted(mesh.patches) == sorted(names)
+        assert (mesh.cells.kinds[mesh.patches[names[0]]] == 9).all()
+        with pytest.raises(UserError, match=r"choose a name that ends in \.vtu"):
+            meshes.write(mesh, path, mesh.points, 0.0 * mesh.points, tmp_path / "b.cgns")
+    with meshes.opened(path) as mesh:
+        meshes.write(mesh, path, mesh.points + 1.0, 0.0 * mesh.points + 1.0, tmp_path / "b.vtu")
+    whole = reported(path)
+    assert (whole["area"], whole["volume"]) == (pytest.approx(10.0), pytest.approx(2.0))
+    with meshes.opened(tmp_path / "b.vtu") as again:
+        np.testing.assert_array_equal(again.points, mesh.points + 1.0)
+        np.testing.assert_array_equal(again.cells.corners, mesh.cells.corners)
+    floor = read_template(path, patches=(names[1],))
+    assert floor.vertices[:, 1].max() == 0.0
+    assert area(floor.vertices, floor.triangles) == pytest.approx(2.0)
+
+
 def test_a_structured_surface_has_faces(tmp_path: Path) -> None:
     x, y = np.meshgrid(np.linspace(0, 2, 5), np.linspace(0, 1, 4))
     pyvista.StructuredGrid(x, y, 0.0 * x).save(tmp_path / "a.vts")
@@ -555,129 +632,6 @@ def test_the_report_is_right_for_people_and_programs(tmp_path: Path, capsys: pyt
     assert "  heat: 0 to 16, 1 rows not finite" in said
     assert report.main([str(tmp_path / "gone.vtu")]) == 2
     assert "no such file" in capsys.readouterr().err
-
-
-# --- meshes that other libraries write --------------------------------------------------------------------------------
-
-
-@st.composite
-def drawn(draw: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, triangles and quadrilaterals: a few barrels, vertices that nothing uses, coordinates with all digits."""
-    pieces = draw(st.integers(1, 3))
-    points, triangles, quads, count = [], [], [], 0
-    scale = draw(st.sampled_from([1e-3, 1.0, 1234.5]))
-    for piece in range(pieces):
-        own, caps, sides = ring(draw(st.integers(3, 6)), draw(st.integers(2, 3)))
-        points.append(own + np.array([4.0 * piece, draw(st.floats(-1, 1)), 1 / 3]))
-        triangles += [[k + count for k in face] for face in caps]
-        quads += [[k + count for k in face] for face in sides]
-        count += len(own)
-    if draw(st.booleans()):
-        points.append(np.array([[9.0, 9.0, 9.0]]))
-    return scale * np.concatenate(points), np.array(triangles), np.array(quads)
-
-
-def by_meshio(ending: str, **options: Any) -> Callable[..., Path]:
-    def write(folder: Path, points: Any, triangles: Any, quads: Any) -> Path:
-        path = folder / f"a{ending}"
-        cells: list[Any] = [("triangle", triangles), ("quad", quads)]
-        meshio.write(path, meshio.Mesh(points, cells), **options)
-        return path
-
-    return write
-
-
-def by_trimesh(ending: str) -> Callable[..., Path]:
-    def write(folder: Path, points: Any, triangles: Any, quads: Any) -> Path:
-        faces = np.concatenate([triangles, quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-        path = folder / f"a{ending}"
-        trimesh.Trimesh(points, faces, process=False).export(path)
-        return path
-
-    return write
-
-
-def by_pyvista(ending: str, binary: bool, unstructured: bool = False) -> Callable[..., Path]:
-    def write(folder: Path, points: Any, triangles: Any, quads: Any) -> Path:
-        flat = [k for face in [*triangles.tolist(), *quads.tolist()] for k in (len(face), *face)]
-        mesh: Any = pyvista.PolyData(points, faces=flat)
-        mesh = mesh.cast_to_unstructured_grid() if unstructured else mesh
-        path = folder / f"a{ending}"
-        mesh.save(path, binary=binary)
-        return path
-
-    return write
-
-
-SHEAR = np.array([[1.1, 0.2, 0.0], [0.0, 0.9, 0.3], [0.1, 0.0, 1.2]])
-SINGLE = 1e-6  # of the largest coordinate, where a writer keeps seven digits
-WRITERS: dict[str, tuple[Callable[..., Any], float]] = {
-    "meshio obj": (by_meshio(".obj"), 1e-15),
-    "meshio ply": (by_meshio(".ply"), 1e-15),
-    "meshio text ply": (by_meshio(".ply", binary=False), 1e-15),
-    "meshio vtk": (by_meshio(".vtk"), 1e-15),
-    "meshio vtu": (by_meshio(".vtu"), 1e-15),
-    "meshio abaqus": (by_meshio(".inp"), 1e-15),
-    "meshio gmsh22": (by_meshio(".msh", file_format="gmsh22", binary=False), 1e-15),
-    "meshio binary gmsh22": (by_meshio(".msh", file_format="gmsh22"), 1e-15),
-    "meshio kratos": (by_meshio(".mdpa"), 1e-15),
-    "meshio medit": (by_meshio(".mesh"), 1e-15),
-    "meshio avs": (by_meshio(".avs"), 1e-15),
-    "trimesh obj": (by_trimesh(".obj"), 1e-6),
-    "trimesh ply": (by_trimesh(".ply"), SINGLE),
-    "trimesh off": (by_trimesh(".off"), 1e-6),
-    "trimesh stl": (by_trimesh(".stl"), SINGLE),
-    "trimesh glb": (by_trimesh(".glb"), SINGLE),
-    "pyvista vtp": (by_pyvista(".vtp", True), 1e-15),
-    "pyvista text vtp": (by_pyvista(".vtp", False), 1e-8),
-    "pyvista vtk": (by_pyvista(".vtk", True), 1e-15),
-    "pyvista vtu": (by_pyvista(".vtu", True, True), 1e-15),
-    "pyvista ply": (by_pyvista(".ply", True), SINGLE),
-    "pyvista stl": (by_pyvista(".stl", True), SINGLE),
-}
-
-
-@pytest.mark.parametrize("writer", WRITERS)
-@settings(max_examples=4, suppress_health_check=[HealthCheck.too_slow])
-@given(mesh=drawn())
-def test_what_other_libraries_write_is_the_mesh_that_was_drawn(
-    writer: str, mesh: Any, tmp_path_factory: pytest.TempPathFactory
-) -> None:
-    points, triangles, quads = mesh
-    write, accuracy = WRITERS[writer]
-    folder = tmp_path_factory.mktemp("drawn")
-    path = write(folder, points, triangles, quads)
-    digits = 1e-8 if writer in ("trimesh obj", "trimesh off") else 0.0  # behind the point
-    close = accuracy * np.abs(points).max() + digits
-    expected = exact(points, [*triangles.tolist(), *quads.tolist()])
-    template = read_template(path)
-    assert area(template.vertices, template.triangles) == pytest.approx(
-        expected, rel=max(1e-12, 1e3 * close / np.abs(points).max())
-    )
-    used = np.unique(np.concatenate([triangles.ravel(), quads.ravel()]))
-    if path.suffix != ".stl":  # a format without an order of vertices
-        np.testing.assert_allclose(template.vertices, points[used], atol=close, rtol=0)
-    else:
-        assert len(template.vertices) == len(used)
-    with meshes.opened(path) as opened:
-        out = folder / f"out{path.suffix}"
-        moved = opened.points @ SHEAR  # which keeps flat polygons flat
-        meshes.write(opened, path, moved, moved - opened.points, out)
-    single = SINGLE if accuracy == SINGLE and path.suffix in (".ply", ".stl", ".glb") else 1e-15
-    with meshes.opened(out) as again:
-        np.testing.assert_array_equal(again.cells.corners, opened.cells.corners)
-        np.testing.assert_allclose(again.points, moved, atol=single * np.abs(moved).max(), rtol=0)
-    if path.suffix in (".off", ".ply", ".stl", ".vtk", ".vtu", ".vtp"):
-        by_vtk = path.suffix != ".off"
-        other: Any = pyvista.read(out) if by_vtk else trimesh.load(out, process=False)
-        got = np.asarray(other.points if by_vtk else other.vertices)
-        box = [side(part, axis=0) for part in (got, moved) for side in (np.min, np.max)]
-        np.testing.assert_allclose(box[:2], box[2:], atol=max(single, 1e-6) * np.abs(moved).max(), rtol=0)
-        assert other.area == pytest.approx(exact(moved, faces_of(opened)), rel=1e-3)
-
-
-def faces_of(mesh: meshes.Mesh) -> list[list[int]]:
-    return [own.tolist() for own in np.split(mesh.cells.corners, np.cumsum(mesh.cells.sizes)[:-1])]
 
 
 def test_every_kind_of_cell_is_known_by_vtk() -> None:

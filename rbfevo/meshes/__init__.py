@@ -48,10 +48,10 @@ OWN: dict[str, Callable[[bytes], Mesh]] = {
     ".csv": read_cloud,
     ".npy": read_npy,
 }
-VTK = (".vtk", ".vtp", ".vtu", ".vts", ".vti", ".vtr", ".vtm", ".pvtp", ".pvtu", ".case", ".encas")
+VTK = (".vtk", ".vtp", ".vtu", ".vts", ".vti", ".vtr", ".vtm", ".pvtp", ".pvtu", ".case", ".encas", ".cgns")
 MESHIO = (  # those that meshio reads, and that have no reader of their own
     *(".mesh", ".meshb", ".med", ".xdmf", ".xmf", ".vol", ".ugrid"),
-    *(".avs", ".f3grid", ".dato", ".post", ".tec", ".cgns", ".e", ".exo", ".ex2", ".h5m", ".hmf"),
+    *(".avs", ".f3grid", ".dato", ".post", ".tec", ".e", ".exo", ".ex2", ".h5m", ".hmf"),
     *(".xml", ".ele", ".node", ".wkt", ".vol.gz", ".dato.gz", ".post.gz"),
 )
 ENDINGS = (*OWN, ".msh", *VTK, *MESHIO)

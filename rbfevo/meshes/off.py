@@ -1,4 +1,7 @@
-"""OFF and its variants COFF, NOFF and STOFF in text: coordinates are put in place, all other bytes stay as they are."""
+"""OFF in text, also with colours, normals or texture coordinates (COFF, NOFF, STOFF, MeshLab's NCOFF).
+
+Coordinates are put in place, all other bytes stay as they are.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ def read_off(content: bytes) -> Mesh:
     header, first = b"", listed[0][1].split()
     if not first[0].isdigit():
         header = first[0].upper()
-        if not re.fullmatch(rb"(ST)?C?N?OFF", header) or any(word.upper() == b"BINARY" for word in first):
+        if not re.fullmatch(rb"(ST|C|N)*OFF", header) or any(word.upper() == b"BINARY" for word in first):
             raise FormatError("only text files with three coordinates a point are read")
         first = first[1:]
         listed = listed if first else listed[1:]
@@ -44,5 +47,5 @@ def read_off(content: bytes) -> Mesh:
         if len(corners) != size:
             raise FormatError("a face has fewer corners than it announces")
         polygons.append(corners)
-    kept = stale_normals(header[:-3].endswith(b"N"))
+    kept = stale_normals(b"N" in header)
     return Mesh(places.points(), written_as(places.rewritten), Cells.polygons(polygons), kept=kept)

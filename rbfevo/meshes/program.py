@@ -41,7 +41,7 @@ _KIND_OF = {  # of a cell by the first word of meshio's name: VTK's number, corn
     "hexa_prism": (16, 12, 16),
 }
 _UNKNOWN = 255
-_SEVERAL = (".vtm", ".pvtp", ".pvtu", ".pvts", ".case", ".encas")  # files that name others: written as .vtu only
+_SEVERAL = (".vtm", ".pvtp", ".pvtu", ".pvts", ".case", ".encas", ".cgns")  # read, but written as .vtu only
 _WRITERS = {
     "vtkPolyData": {".vtp": "vtkXMLPolyDataWriter"},
     "vtkUnstructuredGrid": {".vtu": "vtkXMLUnstructuredGridWriter"},
@@ -85,7 +85,7 @@ class VtkFile:
 
         self._ending = path.suffix.lower()
         found, self._settings = _read(path)
-        self.dataset, patches, self._own = _single(found)
+        self.dataset, patches, self._own = (_zones if self._ending == ".cgns" else _single)(found)
         if self.dataset.GetPoints() is None or self.dataset.GetNumberOfPoints() == 0:
             raise ValueError("there are no points in it: empty or damaged")
         self.points = vtk_to_numpy(self.dataset.GetPoints().GetData()).reshape(-1, 3)
@@ -241,6 +241,8 @@ def _read(path: Path) -> tuple[Any, dict[str, bool]]:
     elif path.suffix.lower() in (".case", ".encas"):
         reader = vtkGenericEnSightReader()
         reader.SetCaseFileName(str(path))
+    elif path.suffix.lower() == ".cgns":
+        reader = _cgns_reader(path, "BndPatch")
     else:
         with path.open("rb") as file:
             kind = _XML_KIND.search(file.read(4096))
@@ -251,11 +253,85 @@ def _read(path: Path) -> tuple[Any, dict[str, bool]]:
         reader = reader()
         reader.SetFileName(str(path))
     reader.Update()
+    if path.suffix.lower() == ".cgns" and (
+        "Skipping BC_t" in complaints.GetOutput()
+        or not any("/Patches/" in name for name, _ in _parts(reader.GetOutput(), ""))
+    ):
+        # VTK takes the conditions of families alone: the sections of surface elements are the patches of other files.
+        # VTK 9.7 crashes where both are asked for at once.
+        reader = _cgns_reader(path, "SurfacePatch")
+        reader.Update()
     dataset = reader.GetOutputDataObject(0)
     said = _HARMLESS.sub("", complaints.GetOutput())
     if dataset is None or "ERROR:" in said or "Error reading" in said or "ERR|" in said:
         raise ValueError("damaged: VTK cannot read all of it")
     return dataset, settings
+
+
+def _cgns_reader(path: Path, patches: str) -> Any:
+    from vtkmodules.vtkIOCGNSReader import vtkCGNSReader
+
+    reader: Any = vtkCGNSReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    for part in ("Bases", "Families", "PointArrays", "CellArrays"):
+        getattr(reader, f"EnableAll{part}")()
+    getattr(reader, f"SetLoad{patches}")(True)
+    return reader
+
+
+def _zones(found: Any) -> tuple[Any, dict[str, Any], bool]:
+    """The zones of a CGNS file, one after another, each with its patches' cells at its own points."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    parts: dict[str, list[tuple[str, Any]]] = {}
+    for name, part in _parts(found, ""):
+        zone, _, patch = name.replace("/Surfaces/", "/Patches/").partition("/Patches/")
+        parts.setdefault(zone.removesuffix("/Internal"), []).append((patch, part))
+    points, cells, arrays, cell_arrays, patches, first, count = [], [], [], [], {}, 0, 0
+    for owned in parts.values():
+        own = None
+        for patch, part in sorted(owned, key=lambda item: item[0] != ""):
+            places = vtk_to_numpy(part.GetPoints().GetData()).reshape(-1, 3)
+            if own is None:
+                own = places
+                points.append(places)
+                arrays.append(_arrays(part.GetPointData(), len(places)))
+            elif not np.array_equal(own, places):
+                continue  # a window of a structured zone: its cells are the boundary's
+            block = _cells(part)
+            if block["face cells"].size:
+                raise ValueError("its cells are polyhedra; convert the mesh to .vtu first")
+            cells.append((block["kinds"], block["sizes"], block["corners"] + first))
+            cell_arrays.append(_arrays(part.GetCellData(), len(block["kinds"])))
+            if patch:
+                patches.setdefault(patch, []).append(np.arange(count, count + len(block["kinds"])))
+            count += len(block["kinds"])
+        first += len(own) if own is not None else 0
+    if not points:
+        raise ValueError("there are no points in it: empty or damaged")
+    kinds, sizes, corners = (np.concatenate(column) for column in zip(*cells, strict=True))
+    dataset = grid(
+        np.concatenate(points),
+        kinds,
+        sizes,
+        corners,
+        _joined(arrays, [len(own) for own in points]),
+        _joined(cell_arrays, [len(own) for own, _, _ in cells]),
+    )
+    return dataset, {name: np.concatenate(rows) for name, rows in patches.items()}, False
+
+
+def _joined(parts: list[dict[str, Any]], counts: list[int]) -> dict[str, Any]:
+    """Arrays of parts one after another; NaN where a part does not have one."""
+    widths = {name: values.shape[1:] for own in parts for name, values in own.items()}
+    return {
+        name: np.concatenate(
+            [own.get(name, np.full((n, *width), np.nan)) for own, n in zip(parts, counts, strict=True)]
+        )
+        for name, width in widths.items()
+        if all(own[name].shape[1:] == width for own in parts if name in own)
+    }
 
 
 def _single(found: Any) -> tuple[Any, dict[str, Any], bool]:
@@ -479,8 +555,9 @@ class MeshioFile:
             options["data_format"] = "XML"
         try:
             meshio.write(out, mesh, file_format, **options)
-        except meshio.WriteError as error:
-            raise ValueError(f"meshio says: {error} Convert the mesh to .vtu first") from None
+        except (Exception, SystemExit) as error:  # its writers raise whatever they like
+            reason = " ".join(str(error).split())[:300] or type(error).__name__
+            raise ValueError(f"meshio does not write it ({reason}); choose a name that ends in .vtu") from None
         return self._losses(mesh, meshio.read(out, file_format))
 
     def _losses(self, mesh: Any, again: Any) -> list[str]:
