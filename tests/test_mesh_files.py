@@ -527,7 +527,7 @@ def test_files_of_several_parts(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.points, mesh.points + 1.0)
 
 
-def cgns(path: Path, families: bool) -> None:
+def cgns(path: Path, families: tuple[str, ...]) -> None:
     """A CGNS file by hand: two hexahedra, the six faces of them in x = 0 and x = 2 and y = 0, and two conditions."""
     h5py = pytest.importorskip("h5py")
     text = lambda word: np.frombuffer(word, np.int8)  # noqa: E731
@@ -573,17 +573,20 @@ def cgns(path: Path, families: bool) -> None:
             node(section, "ElementConnectivity", b"DataArray_t", np.ravel(rows).astype(np.int32))
         conditions = node(zone, "ZoneBC", b"ZoneBC_t")
         for name, rows in (("ends", [3, 4]), ("bottom", [5, 6])):
-            condition = node(conditions, name, b"BC_t", text(b"FamilySpecified" if families else b"BCInflow"))
+            condition = node(conditions, name, b"BC_t", text(b"FamilySpecified" if name in families else b"BCInflow"))
             node(condition, "PointRange", b"IndexRange_t", np.array([[rows[0]], [rows[1]]], np.int32))
             node(condition, "GridLocation", b"GridLocation_t", text(b"FaceCenter"))
-            if families:
+            if name in families:
                 node(condition, "FamilyName", b"FamilyName_t", text(name.encode()))
                 node(base, name, b"Family_t")
 
 
-@pytest.mark.parametrize(("families", "names"), [(True, ["ends", "bottom"]), (False, ["inlet", "floor"])])
+@pytest.mark.parametrize(
+    ("families", "names"),
+    [(("ends", "bottom"), ["ends", "bottom"]), ((), ["inlet", "floor"]), (("ends",), ["inlet", "floor"])],
+)
 def test_cgns_has_its_boundary_conditions_or_its_sections_as_patches(
-    families: bool, names: list[str], tmp_path: Path
+    families: tuple[str, ...], names: list[str], tmp_path: Path
 ) -> None:
     path = tmp_path / "a.cgns"
     cgns(path, families)
@@ -651,3 +654,14 @@ def test_every_kind_of_cell_is_known_by_vtk() -> None:
             faces.append(frozenset(face.GetPointId(k) for k in range(face.GetNumberOfPoints())))
         assert {frozenset(face) for face in cells._FACES[name]} == set(faces)
         assert cell.GetNumberOfPoints() == cells._CORNERS[kinds[0]]
+
+
+def test_a_text_stl_is_written_with_numbers_that_vtk_reads(tmp_path: Path) -> None:
+    corners = [[0.0, 0.0, 0.0], [1.0, 0.0, 1e-60], [0.0, 1.0, -1e-50]]
+    rows = "".join(f"vertex {x!r} {y!r} {z!r}\n" for x, y, z in corners)
+    path, out = tmp_path / "a.stl", tmp_path / "b.stl"
+    path.write_text(f"solid a\nfacet normal 0 0 1\nouter loop\n{rows}endloop\nendfacet\nendsolid a\n")
+    with meshes.opened(path) as mesh:
+        meshes.write(mesh, path, np.add(mesh.points, [2.0, 0.0, 0.0]), 0.0 * mesh.points, out)
+    again: Any = pyvista.read(out)
+    np.testing.assert_allclose(again.points, np.add(corners, [2.0, 0.0, 0.0]), atol=1e-7)

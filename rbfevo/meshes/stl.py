@@ -69,11 +69,16 @@ def _text(content: bytes) -> Mesh:
         raise FormatError("cut off: its end is missing")
 
     def rewritten(moved: Array) -> bytes:
-        return facets.rewritten(normals(moved), corners.rewritings(moved))
+        return facets.rewritten(_readable(normals(moved)), corners.rewritings(_readable(moved)))
 
     patches = {name: np.array(facets, np.int64) for name, facets in solids.items()} if len(solids) > 1 else {}
     facets.points()  # a normal that is no number is refused as well
     return _mesh(corners.points(), rewritten, patches)
+
+
+def _readable(values: Array) -> Array:
+    """Values with 0 for those that single precision does not hold: VTK reads a text STL no further than to 1e-40."""
+    return np.where(np.abs(values) < np.finfo(np.float32).tiny, 0.0, values)
 
 
 def _mesh(points: Array, rewritten: Callable[[Array], bytes], patches: dict[str, Ints]) -> Mesh:
