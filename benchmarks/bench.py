@@ -15,9 +15,9 @@ import torch
 
 from benchmarks import bench_fronts, bench_heuristics, bench_memory, bench_scoring, bench_searches
 from benchmarks.bench_rows import Row, Screen, machine, record
-from rbfevo import storage
 from rbfevo.errors import UserError
-from rbfevo.threads import coarse
+from rbfevo.runs import storage
+from rbfevo.scoring.threads import coarse
 
 OUTPUT = Path(__file__).parent / "bench.json"
 QUICK = Path(__file__).parent / "bench-quick.json"  # not committed

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from benchmarks.panels import SUPPORTS
-from rbfevo.deformation import MANIPULATIONS
-from rbfevo.evaluator import Evaluator
-from rbfevo.kernels import Kernel, Wendland, triharmonic
 from rbfevo.scenarios import face, plane
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.deformation import MANIPULATIONS
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.kernels import Kernel, Wendland, triharmonic
 
 CENTERS = 25
 __all__ = ["CENTERS", "MANIPULATIONS", "Case", "cases", "kernel", "scenario"]

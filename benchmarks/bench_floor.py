@@ -9,8 +9,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from rbfevo.kernels import Kernel, ThinPlate
-from rbfevo.threads import run_in_slices
+from rbfevo.scoring.kernels import Kernel, ThinPlate
+from rbfevo.scoring.threads import run_in_slices
 
 BLOCKS = (512, 1024, 2048)
 

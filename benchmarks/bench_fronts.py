@@ -10,8 +10,8 @@ from torch import Tensor
 from benchmarks.bench_rows import Row, at_least, at_most
 from benchmarks.fronts import DIRECTORY, Reference, reference_front
 from benchmarks.panels import PANELS, Panel
-from rbfevo.pareto import hypervolume
-from rbfevo.run import Run
+from rbfevo.runs.run import Run
+from rbfevo.scoring.pareto import hypervolume
 
 EVALUATIONS = (2_500_000, 250_000)
 SECONDS = 60.0

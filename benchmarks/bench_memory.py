@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from benchmarks.bench_cases import MANIPULATIONS, Case, kernel, scenario
 from benchmarks.bench_rows import Row, at_most
 from benchmarks.measure import in_child, interleaved, median, peak_memory, timed
-from rbfevo.threads import coarse
+from rbfevo.scoring.threads import coarse
 
 SUPPORTS = (0.5, None)  # Wendland's kernel and r^2 log r, on the plane
 

@@ -12,10 +12,10 @@ from benchmarks.bench_floor import BLOCKS, Floor
 from benchmarks.bench_numpy import numpy_scores
 from benchmarks.bench_rows import Row, at_least, at_most
 from benchmarks.measure import fastest, interleaved, median, one_blas_thread, timed
-from rbfevo.evaluator import Evaluator
-from rbfevo.gradients import differentiable_scores
-from rbfevo.kernels import ThinPlate
 from rbfevo.methods.nsga2 import NSGA2
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.gradients import differentiable_scores
+from rbfevo.scoring.kernels import ThinPlate
 
 
 class Search:

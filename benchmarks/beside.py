@@ -19,11 +19,11 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 CODE = """
 import json, time, torch
-from rbfevo.kernels import triharmonic, wendland
-from rbfevo.mirrored import evaluator_of
-from rbfevo.gradients import Spectrum
+from rbfevo.scoring.kernels import triharmonic, wendland
+from rbfevo.scoring.symmetric import evaluator_of
+from rbfevo.scoring.gradients import Spectrum
 from rbfevo.scenarios import face, plane
-from rbfevo.threads import coarse
+from rbfevo.scoring.threads import coarse
 
 found = {}
 with coarse():

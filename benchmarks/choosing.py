@@ -25,8 +25,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rbfevo.__main__ import main as rbfevo
-from rbfevo.picks import pick
-from rbfevo.record import Record, read
+from rbfevo.recorded.picks import pick
+from rbfevo.recorded.record import Record, read
 
 ROOT = Path(__file__).parents[1]
 PAGE, TABLE = ROOT / "docs" / "choosing.md", ROOT / "docs" / "choosing.csv"
@@ -99,7 +99,7 @@ def line(case: Case, seed: int, out: Path) -> dict[str, Any]:
     """One line of choosing.csv, of the method's own rows."""
     import torch
 
-    from rbfevo.pareto import hypervolume
+    from rbfevo.scoring.pareto import hypervolume
 
     record, summary = read(out), json.loads((out / "summary.json").read_text())
     own = record.method == summary["method"]
@@ -141,7 +141,7 @@ def descend(template: Path, record: Record, row: int, steps: int = 30) -> dict[s
     import torch
     from scipy.optimize import minimize
 
-    from rbfevo.columns import setup
+    from rbfevo.recorded.setup import setup
 
     car, chosen = body(), setup(record, row)
     surface: Any = pv.read(template)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from rbfevo.kernels import Kernel, ThinPlate, Wendland
+from rbfevo.scoring.kernels import Kernel, ThinPlate, Wendland
 
 BITS = 300  # behind the point
 Integers = NDArray[Any]  # of Python's, in units of 2^-BITS

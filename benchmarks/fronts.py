@@ -18,12 +18,12 @@ import numpy as np
 import torch
 
 from benchmarks.panels import Panel, chosen
-from rbfevo import storage
 from rbfevo.errors import UserError
 from rbfevo.methods.searches import Nsga2Search
-from rbfevo.pareto import hypervolume, nondominated
-from rbfevo.run import Run
-from rbfevo.threads import coarse
+from rbfevo.runs import storage
+from rbfevo.runs.run import Run
+from rbfevo.scoring.pareto import hypervolume, nondominated
+from rbfevo.scoring.threads import coarse
 
 DIRECTORY = Path(__file__).parent / "fronts"
 HISTORY_EVERY = 50  # generations

@@ -27,10 +27,10 @@ import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
 
-from rbfevo import checkpoint
-from rbfevo.config import CONF, Settings, check
-from rbfevo.methods.stage import Record
-from rbfevo.run import carry_out
+from rbfevo.methods.method import Record
+from rbfevo.runs import checkpoint
+from rbfevo.runs.config import CONF, Settings, check
+from rbfevo.runs.run import carry_out
 
 OUTPUT = Path(__file__).parent / "kills.csv"
 COMMON = (

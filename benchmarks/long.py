@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rbfevo.journal import GROWING
+from rbfevo.runs.journal import GROWING
 
 OUTPUT = Path(__file__).parent / "long.csv"
 WORDS = (

@@ -27,9 +27,9 @@ from torch import Tensor
 
 from benchmarks.choosing import markdown, write
 from benchmarks.digits import Design, exact
-from rbfevo.deformation import MANIPULATIONS
-from rbfevo.evaluator import Evaluator
-from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland
+from rbfevo.scoring.deformation import MANIPULATIONS
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "reliability-numbers.md"

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import hydra
 from hydra.core.global_hydra import GlobalHydra
 
-from rbfevo.config import CONF, Settings, check
 from rbfevo.errors import UserError
+from rbfevo.runs.config import CONF, Settings, check
 
 
 class Panel(NamedTuple):

@@ -15,13 +15,13 @@ import torch
 from omegaconf import OmegaConf
 
 from benchmarks.processors import Processor, environment
-from rbfevo.config import check
-from rbfevo.kernels import triharmonic, wendland
 from rbfevo.methods.searches import preferred
-from rbfevo.mirrored import evaluator_of
-from rbfevo.pareto import hypervolume
-from rbfevo.run import Run
+from rbfevo.runs.config import check
+from rbfevo.runs.run import Run
 from rbfevo.scenarios import plane
+from rbfevo.scoring.kernels import triharmonic, wendland
+from rbfevo.scoring.pareto import hypervolume
+from rbfevo.scoring.symmetric import evaluator_of
 
 OUTPUT = Path(__file__).parent / "spread.csv"
 SETUPS, CENTERS = 100, 25
@@ -66,7 +66,7 @@ def ends() -> dict[str, np.ndarray]:
     for name, method in METHODS.items():
         config = {
             "scenario": {"_target_": "rbfevo.scenarios.plane", "resolution": [60, 60], "support": 0.5},
-            "kernel": {"_target_": "rbfevo.kernels.wendland", "support": None},
+            "kernel": {"_target_": "rbfevo.scoring.kernels.wendland", "support": None},
             "manipulation": {"name": "direct"},
             "method": method,
             "centers": CENTERS,

@@ -19,12 +19,9 @@ from torch import Tensor
 from benchmarks.bench_fronts import gradient_front
 from benchmarks.fronts import Reference
 from benchmarks.panels import Panel, chosen
-from rbfevo import storage
 from rbfevo.errors import UserError
-from rbfevo.gradients import Spectrum
-from rbfevo.methods.heuristics import LloydHeuristic, OlsHeuristic
-from rbfevo.methods.lbfgs import LBFGS
-from rbfevo.methods.tracing import (
+from rbfevo.methods.gradient.lbfgs import LBFGS
+from rbfevo.methods.gradient.tracing import (
     Aim,
     Archive,
     Preference,
@@ -35,9 +32,12 @@ from rbfevo.methods.tracing import (
     front_normals,
     soft_regularity,
 )
-from rbfevo.pareto import hypervolume, ranks, well_spread
-from rbfevo.run import Run
-from rbfevo.threads import coarse
+from rbfevo.methods.heuristics import LloydHeuristic, OlsHeuristic
+from rbfevo.runs import storage
+from rbfevo.runs.run import Run
+from rbfevo.scoring.gradients import Spectrum
+from rbfevo.scoring.pareto import hypervolume, ranks, well_spread
+from rbfevo.scoring.threads import coarse
 
 OUTPUT = Path(__file__).parent / "strategies.csv"
 POPULATION, STEPS, COARSE = 96, 185, 2000

@@ -6,11 +6,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from rbfevo.deformation import RBFDeformation
     from rbfevo.errors import UserError
-    from rbfevo.evaluator import Evaluator
-    from rbfevo.evolvability import Scores
-    from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, triharmonic, wendland
+    from rbfevo.scoring.deformation import RBFDeformation
+    from rbfevo.scoring.evaluator import Evaluator
+    from rbfevo.scoring.evolvability import Scores
+    from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland, triharmonic, wendland
 
 __all__ = [
     "Cubic",

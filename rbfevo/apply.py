@@ -9,12 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from rbfevo import commands, meshes
-from rbfevo.columns import Setup, setup
+from rbfevo import meshes
+from rbfevo.arrays import Array
+from rbfevo.commands import parsers
+from rbfevo.commands.center_rows import read_rows
 from rbfevo.errors import UserError
-from rbfevo.exchange.tables import read_rows
-from rbfevo.picks import pick
-from rbfevo.record import Array, Record, read
+from rbfevo.recorded.picks import pick
+from rbfevo.recorded.record import Record, read
+from rbfevo.recorded.setup import Setup, setup
 
 FAR = 0.01  # of the largest displacement of a center: what moves farther outside the box is told
 DESCRIPTION = """Deform a mesh with the control points of one setup of a run.
@@ -26,9 +28,9 @@ EPILOG = f"""Meshes: {", ".join(ending[1:] for ending in meshes.ENDINGS)}.
 The ending of --out is that of --mesh, or one of {", ".join(meshes.CONVERSIONS)}."""
 
 
-def parser() -> commands.Parser:
+def parser() -> parsers.Parser:
     """The options."""
-    made = commands.PickParser("rbfevo.apply", DESCRIPTION, EPILOG)
+    made = parsers.PickParser("rbfevo.apply", DESCRIPTION, EPILOG)
     what = made.add_mutually_exclusive_group(required=True)
     what.add_argument(
         "--displacements",
@@ -48,7 +50,7 @@ def parser() -> commands.Parser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, or 2 for a user's mistake."""
-    return commands.carried_out(parser, carry_out, arguments)
+    return parsers.carried_out(parser, carry_out, arguments)
 
 
 def carry_out(options: argparse.Namespace) -> None:
@@ -176,4 +178,4 @@ def _dots(before: Array, after: Array, triangles: Array) -> Array:
 
 
 if __name__ == "__main__":
-    commands.start(main)
+    parsers.start(main)

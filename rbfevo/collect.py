@@ -7,9 +7,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rbfevo import commands, sweep
+from rbfevo.commands import parsers
 from rbfevo.errors import UserError
 from rbfevo.files import write_whole
+from rbfevo.recorded import sweep
 
 DESCRIPTION = """Collect the runs at and below a directory, and say which setting is best for their mesh.
 
@@ -19,9 +20,9 @@ report.html  both as a page to compare settings on, and to choose a setup from""
 EPILOG = "Runs may be added at any time: collect them again, the files are rewritten."
 
 
-def parser() -> commands.Parser:
+def parser() -> parsers.Parser:
     """The options."""
-    made = commands.Parser("rbfevo.collect", DESCRIPTION, EPILOG)
+    made = parsers.Parser("rbfevo.collect", DESCRIPTION, EPILOG)
     made.add_argument("directory", type=Path, metavar="DIR", help="the directory of a sweep, or of several")
     made.add_argument("--out", type=Path, metavar="DIR", help="where the files go; the directory itself")
     return made
@@ -29,7 +30,7 @@ def parser() -> commands.Parser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, or 2 for a user's mistake."""
-    return commands.carried_out(parser, carry_out, arguments)
+    return parsers.carried_out(parser, carry_out, arguments)
 
 
 def carry_out(options: argparse.Namespace) -> None:
@@ -66,4 +67,4 @@ def carry_out(options: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    commands.start(main)
+    parsers.start(main)

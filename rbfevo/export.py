@@ -11,12 +11,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rbfevo import commands
-from rbfevo.columns import Setup, setup
+from rbfevo.arrays import Array
+from rbfevo.commands import parsers
 from rbfevo.errors import UserError
 from rbfevo.files import csv_text, npz, refuse_held, write_whole
-from rbfevo.picks import pick
-from rbfevo.record import Array, Record, read
+from rbfevo.recorded.picks import pick
+from rbfevo.recorded.record import Record, read
+from rbfevo.recorded.setup import Setup, setup
 
 FILES = (
     *("centers.csv", "centers.vtp", "template.vtp", "setup.npz"),
@@ -48,9 +49,9 @@ class Move(NamedTuple):
     direction: bool
 
 
-def parser() -> commands.Parser:
+def parser() -> parsers.Parser:
     """The options."""
-    made = commands.PickParser("rbfevo.export", DESCRIPTION, "An existing export is never overwritten.")
+    made = parsers.PickParser("rbfevo.export", DESCRIPTION, "An existing export is never overwritten.")
     made.add_argument("--out", type=Path, metavar="DIR", help="directory to write; RUN/export-PICK")
     made.add_argument(
         "--step",
@@ -74,7 +75,7 @@ def _share(word: str) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, or 2 for a user's mistake."""
-    return commands.carried_out(parser, carry_out, arguments)
+    return parsers.carried_out(parser, carry_out, arguments)
 
 
 def carry_out(options: argparse.Namespace) -> None:
@@ -158,7 +159,7 @@ def tables(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes],
             left_out["U in setup.npz"] = reason
     else:
         contents["displacements.csv"] = _numbered(["dx", "dy", "dz"], places, spatial(move.centers))
-        from rbfevo.exchange import pygem
+        from rbfevo.commands import pygem
 
         try:
             contents["parameters.prm"] = pygem.parameters(chosen, spatial(move.centers))
@@ -250,7 +251,7 @@ def closing(
         f"files: {out}: {', '.join(name for name in FILES if name in written or name.endswith('.vtp'))}",
     ]
     if "parameters.prm" in written:
-        from rbfevo.exchange.pygem import LINEAR
+        from rbfevo.commands.pygem import LINEAR
 
         lines.append(f"parameters.prm: {LINEAR}")
     lines += [f"left out: {name}: {reason}" for name, reason in left_out.items()]
@@ -269,4 +270,4 @@ def _held(record: Record, move: Move) -> list[str]:
 
 
 if __name__ == "__main__":
-    commands.start(main)
+    parsers.start(main)

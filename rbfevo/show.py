@@ -9,12 +9,12 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from rbfevo import commands
+from rbfevo.commands import parsers
 from rbfevo.errors import UserError
 from rbfevo.figures import processes
 from rbfevo.figures.scene import COLOURS, KEYS, SHAPES, SOFTWARE, State
-from rbfevo.picks import pick
-from rbfevo.record import Record, read
+from rbfevo.recorded.picks import pick
+from rbfevo.recorded.record import Record, read
 
 LONGEST = 14 * 86_400.0  # seconds that a window may stay open
 DEFAULT, WITHOUT_FRONT = "knee", "best-improvement-potential"
@@ -31,9 +31,9 @@ class BrokenError(Exception):
     """A window or a picture that did not come about, for no mistake of the user's."""
 
 
-def parser() -> commands.Parser:
+def parser() -> parsers.Parser:
     """The options."""
-    made = commands.PickParser("rbfevo.show", DESCRIPTION, EPILOG, default=DEFAULT)
+    made = parsers.PickParser("rbfevo.show", DESCRIPTION, EPILOG, default=DEFAULT)
     made.add_argument("--compare", metavar="PICK", help="a second setup beside it")
     made.add_argument(
         "--colour",
@@ -53,9 +53,9 @@ def parser() -> commands.Parser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, 2 for a user's mistake, or 1 where nothing can be drawn."""
     try:
-        return commands.carried_out(parser, carry_out, arguments)
+        return parsers.carried_out(parser, carry_out, arguments)
     except BrokenError as error:
-        commands.complain("rbfevo.show", str(error))
+        parsers.complain("rbfevo.show", str(error))
         return 1
 
 
@@ -181,4 +181,4 @@ def _draw(options: argparse.Namespace, record: Record, state: State) -> None:
 
 
 if __name__ == "__main__":
-    commands.start(main)
+    parsers.start(main)

@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from rbfevo.config import build
 from rbfevo.errors import UserError
 from rbfevo.fit import MANIPULATIONS, STRATEGIES, Fit, Objective, deformation, fits
-from rbfevo.methods.stage import random_stream
+from rbfevo.methods.method import random_stream
+from rbfevo.runs.config import build
+from rbfevo.runs.storage import csv_text, write_whole
 from rbfevo.scenarios.scenario import Scenario
-from rbfevo.storage import csv_text, write_whole
 from reproduction import measures
 from reproduction.study import KINDS, SCENARIOS, Array, Setups, Study, panels_of
 

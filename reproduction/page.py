@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from rbfevo.storage import csv_text, write_whole
+from rbfevo.runs.storage import csv_text, write_whole
 from reproduction import pays, pays_page, runs
 from reproduction.claims import CLAIMS, Claim, Finding
 from reproduction.claims.claim import HOLDS, MOST, PLURAL
@@ -207,7 +207,7 @@ def facts(budget: str) -> dict[str, str]:
     import os
     import platform
 
-    from rbfevo.run import versions
+    from rbfevo.runs.run import versions
 
     model = ""
     cpuinfo = Path("/proc/cpuinfo")

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.stats import bootstrap, rankdata
 
 from rbfevo.fit import MANIPULATIONS, STRATEGIES
-from rbfevo.storage import csv_text, write_whole
+from rbfevo.runs.storage import csv_text, write_whole
 from reproduction import fits
 from reproduction.study import KINDS, SCENARIOS, Study
 

@@ -14,10 +14,10 @@ import torch
 from numpy.typing import NDArray
 
 from benchmarks.panels import PANELS, Panel
-from rbfevo.config import build
 from rbfevo.errors import UserError
-from rbfevo.pareto import nondominated
+from rbfevo.runs.config import build
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.pareto import nondominated
 from reproduction import runs
 from reproduction.budgets import Budget, budget_named
 

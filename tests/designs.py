@@ -12,7 +12,7 @@ import trimesh
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
-from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
 
 EPS = np.finfo(np.float64).eps
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.panels import PANELS, Panel
-from rbfevo import storage
+from rbfevo.runs import storage
 from reproduction import budgets, runs
 from reproduction.budgets import Budget
 from reproduction.study import Setups, Study

@@ -21,7 +21,7 @@ from test_export import CASES, a_run, spatial
 
 from rbfevo import apply, export, meshes
 from rbfevo.meshes.mesh import Cells, Faces
-from rbfevo.record import Record, read
+from rbfevo.recorded.record import Record, read
 
 
 def moves(run: Path, row: int = 0, seed: int = 0, *, on: int = 0) -> tuple[Record, Any]:

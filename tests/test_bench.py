@@ -21,9 +21,9 @@ from benchmarks.bench_rows import Row, Screen, at_least, at_most
 from benchmarks.bench_scoring import floor_rows, gradient_row, scoring_row
 from benchmarks.bench_searches import OurNSGA2, PymooNSGA2, cmaes_row, nsga2_row
 from benchmarks.measure import in_child, interleaved, one_blas_thread, peak_memory
-from rbfevo.deformation import MANIPULATIONS
-from rbfevo.kernels import Cubic, ThinPlate, Wendland
 from rbfevo.scenarios import face, plane
+from rbfevo.scoring.deformation import MANIPULATIONS
+from rbfevo.scoring.kernels import Cubic, ThinPlate, Wendland
 
 PLANE, FACE = plane((24, 24)), face(subdivisions=3)
 CASES = [

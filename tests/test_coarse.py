@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 import torch
 
-from rbfevo.evaluator import Evaluator
-from rbfevo.kernels import Kernel, triharmonic, wendland
 from rbfevo.scenarios import face, plane
 from rbfevo.scenarios.coarse import coarsened, matched
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.kernels import Kernel, triharmonic, wendland
 
 
 def scores(scenario: Scenario, kernel: Kernel, centers: torch.Tensor) -> torch.Tensor:

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RBFInterpolator
 
-from rbfevo import columns
 from rbfevo.errors import UserError
 from rbfevo.figures import local_error
-from rbfevo.record import Record
+from rbfevo.recorded import setup
+from rbfevo.recorded.record import Record
 
 MIRRORS = [None, {"axis": "y", "at": 0.0}, {"axis": "x", "at": 0.3}]
 
@@ -91,7 +91,7 @@ def test_the_displacement_is_the_sum_over_centers_and_images(d: int, k: int, ker
     record = recorded(d=d, k=k, kernel=kernel, symmetry=symmetry)
     rng = np.random.default_rng(0)
     points, weights = rng.uniform(-2, 2, (50, d)), rng.normal(size=(5, k))
-    chosen = columns.setup(record, 1)
+    chosen = setup.setup(record, 1)
     expected = field(record, 1, points, weights)
     np.testing.assert_allclose(chosen.displacement(points, weights), expected, atol=1e-12 * np.abs(expected).max())
     np.testing.assert_allclose(chosen.displacement(points, weights, block=7), expected, atol=1e-11)
@@ -102,7 +102,7 @@ def test_the_displacement_is_the_sum_over_centers_and_images(d: int, k: int, ker
 def test_weights_are_those_of_scipys_interpolation(d: int, name: str) -> None:
     record = recorded(d=d, kernel="triharmonic")
     values = np.random.default_rng(3).normal(size=(5, 3))
-    chosen, points = columns.setup(record, 0), np.random.default_rng(4).normal(size=(20, d))
+    chosen, points = setup.setup(record, 0), np.random.default_rng(4).normal(size=(20, d))
     expected = RBFInterpolator(record.centers[0], values, kernel=name, degree=-1)(points)
     np.testing.assert_allclose(chosen.displacement(points, chosen.weights(values)), expected, atol=1e-9)
 
@@ -118,7 +118,7 @@ def test_weights_move_the_centers_by_what_was_asked(
     asked = np.random.default_rng(2).normal(size=(5, k))
     if symmetry is not None and k > 1:
         asked[list(on), "xyz".index(symmetry["axis"])] = 0.0
-    chosen = columns.setup(record, 0)
+    chosen = setup.setup(record, 0)
     weights = chosen.weights(asked)
     np.testing.assert_allclose(field(record, 0, record.centers[0], weights), asked, atol=1e-9)
     if symmetry is None:
@@ -140,7 +140,7 @@ def test_weights_move_the_centers_by_what_was_asked(
 @pytest.mark.parametrize(("d", "k"), [(2, 1), (3, 3)])
 def test_psi_and_columns_by_parity(d: int, k: int, symmetry: Any, on: tuple[int, ...]) -> None:
     record = recorded(d=d, k=k, symmetry=symmetry, on=on)
-    chosen, C = columns.setup(record, 0), record.centers[0]
+    chosen, C = setup.setup(record, 0), record.centers[0]
     for across, sign in ((False, 1.0), (True, -1.0)):
         off = [j for j in range(5) if not (across and symmetry is not None and j in on)]
         plain = phi(np.linalg.norm(C[:, None] - C[None], axis=2), "wendland", 1.1, d)
@@ -163,7 +163,7 @@ def test_the_best_approximation_is_the_pseudoinverses(d: int, k: int, kernel: st
     A = np.stack([field(record, 0, record.vertices, unit).ravel() for unit in units], axis=1)
     root = np.sqrt(np.repeat(record.weights, k))
     solution = np.linalg.pinv(root[:, None] * A, rcond=1e-13) @ (root * record.gradient.ravel())
-    chosen = columns.setup(record, 0)
+    chosen = setup.setup(record, 0)
     np.testing.assert_allclose(chosen.best(record), 2.5 * solution.reshape(5, k), atol=1e-8)
     np.testing.assert_allclose(chosen.fit(record, block=7), solution.reshape(5, k), atol=1e-8)
     expected = (A @ solution).reshape(-1, k)
@@ -173,7 +173,7 @@ def test_the_best_approximation_is_the_pseudoinverses(d: int, k: int, kernel: st
 def test_a_duplicate_center_gets_the_least_weights_and_cannot_be_moved_alone() -> None:
     record = recorded()
     record.centers[0, 1] = record.centers[0, 0]
-    chosen = columns.setup(record, 0)
+    chosen = setup.setup(record, 0)
     best = chosen.best(record)
     np.testing.assert_allclose(best[0], best[1], atol=1e-12)
     assert chosen.singular()
@@ -182,11 +182,11 @@ def test_a_duplicate_center_gets_the_least_weights_and_cannot_be_moved_alone() -
     single = dataclasses.replace(
         record, centers=record.centers[:, :1], summary={**record.summary, "kernel": "triharmonic"}
     )
-    assert columns.setup(single, 0).singular()  # Psi = 0
+    assert setup.setup(single, 0).singular()  # Psi = 0
 
 
 def test_a_center_stays_on_its_plane() -> None:
-    chosen = columns.setup(recorded(symmetry=MIRRORS[2], on=(3,)), 0)
+    chosen = setup.setup(recorded(symmetry=MIRRORS[2], on=(3,)), 0)
     with pytest.raises(UserError, match=r"center 3 lies on the symmetry plane x = 0\.3 .* along x must be 0, not 2"):
         chosen.weights(np.full((5, 3), 2.0))
 
@@ -207,21 +207,21 @@ def test_a_center_stays_on_its_plane() -> None:
 def test_an_unknown_kernel_or_symmetry_is_one_line(summary: dict[str, Any], message: str) -> None:
     record = recorded()
     with pytest.raises(UserError, match=message):
-        columns.setup(dataclasses.replace(record, summary={**record.summary, **summary}), 0)
+        setup.setup(dataclasses.replace(record, summary={**record.summary, **summary}), 0)
 
 
 @given(st.floats(0, 3), st.floats(0.01, 3))
 def test_kernels_are_the_written_out_ones(r: float, support: float) -> None:
-    assert columns.wendland(np.array(r), support) == pytest.approx(float(phi(r, "wendland", support, 3)), abs=1e-15)
+    assert setup.wendland(np.array(r), support) == pytest.approx(float(phi(r, "wendland", support, 3)), abs=1e-15)
     for d in (2, 3):
-        assert columns.triharmonic(np.array(r), d) == pytest.approx(float(phi(r, "triharmonic", None, d)), abs=1e-15)
+        assert setup.triharmonic(np.array(r), d) == pytest.approx(float(phi(r, "triharmonic", None, d)), abs=1e-15)
 
 
 def test_many_points_need_little_memory() -> None:
     """In a process of its own: its peak of memory, with 200,000 points and 400 centers, is far below Phi's 640 MB."""
     program = """
 import resource, numpy as np
-from rbfevo.columns import Mirror, Setup
+from rbfevo.recorded.setup import Mirror, Setup
 rng = np.random.default_rng(0)
 centers, points = rng.uniform(size=(400, 3)), rng.uniform(size=(200_000, 3))
 chosen = Setup(centers, "triharmonic", None, "indirect", Mirror(0, 0.0), np.zeros(400, bool), 0, 0.0, 0.0)

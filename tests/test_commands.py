@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from rbfevo import commands
 from rbfevo.__main__ import main
+from rbfevo.commands import parsers
 from rbfevo.errors import UserError
 
 ROOT = Path(__file__).parents[1]
@@ -67,9 +67,9 @@ def test_a_mistake_and_ctrl_c_are_one_line(error, code, line, capsys):
     def work() -> int:
         raise error
 
-    assert commands.outcome("some.name", work) == code
+    assert parsers.outcome("some.name", work) == code
     assert capsys.readouterr() == ("", f"{line}\n")
-    assert (commands.outcome("some.name", lambda: None), commands.outcome("some.name", lambda: 143)) == (0, 143)
+    assert (parsers.outcome("some.name", lambda: None), parsers.outcome("some.name", lambda: 143)) == (0, 143)
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -7,8 +7,8 @@ from designs import DESIGNS, KERNELS, PAIRS, numpy_phi
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
-from rbfevo.deformation import MANIPULATIONS, RBFDeformation
 from rbfevo.errors import UserError
+from rbfevo.scoring.deformation import MANIPULATIONS, RBFDeformation
 
 pairs = pytest.mark.parametrize(("design", "kernel"), PAIRS)
 both = pytest.mark.parametrize("manipulation", MANIPULATIONS)

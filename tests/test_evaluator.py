@@ -21,11 +21,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
-from rbfevo.deformation import MANIPULATIONS
 from rbfevo.errors import UserError
-from rbfevo.evaluator import Evaluator
-from rbfevo.evolvability import Scores
-from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland
+from rbfevo.scoring.deformation import MANIPULATIONS
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.evolvability import Scores
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
 
 both = pytest.mark.parametrize("manipulation", MANIPULATIONS)
 backends = pytest.mark.parametrize("backend", ["fused", "eager"])
@@ -506,8 +506,8 @@ def test_never_raises_and_agrees_with_the_definition(
 
 MEMORY = """
     import re, sys, torch
-    from rbfevo.evaluator import Evaluator
-    from rbfevo.kernels import ThinPlate, Wendland
+    from rbfevo.scoring.evaluator import Evaluator
+    from rbfevo.scoring.kernels import ThinPlate, Wendland
 
     def status(field):  # kB
         return int(re.search(field + r":\\s+(\\d+)", open("/proc/self/status").read()).group(1))

@@ -7,9 +7,9 @@ from designs import DESIGNS, EPS, KERNELS, PAIRS, numpy_scores
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rbfevo.deformation import MANIPULATIONS, RBFDeformation
-from rbfevo.evolvability import cutoff, evolvability, score, singular
-from rbfevo.kernels import ThinPlate, Wendland
+from rbfevo.scoring.deformation import MANIPULATIONS, RBFDeformation
+from rbfevo.scoring.evolvability import cutoff, evolvability, score, singular
+from rbfevo.scoring.kernels import ThinPlate, Wendland
 
 both = pytest.mark.parametrize("manipulation", MANIPULATIONS)
 

@@ -18,8 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rbfevo import meshes
+from rbfevo.commands.center_rows import read_rows
 from rbfevo.errors import UserError
-from rbfevo.exchange.tables import read_rows
 from rbfevo.meshes import cells, nastran
 
 CUBE = np.array([[x, y, z] for x in (0, 0.5, 1) for y in (0, 0.5, 1) for z in (0, 0.5, 1)])

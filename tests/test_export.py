@@ -17,7 +17,7 @@ from scipy.spatial.distance import cdist
 from test_columns import MIRRORS, field, phi
 
 from rbfevo import apply, export
-from rbfevo.record import Record, read
+from rbfevo.recorded.record import Record, read
 
 CASES = {
     "plane": {"d": 2, "kernel": "wendland"},

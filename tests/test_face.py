@@ -9,7 +9,8 @@ import torch
 import trimesh
 
 from rbfevo.errors import UserError
-from rbfevo.scenarios import correspondence, face, placement, plane
+from rbfevo.geometry import correspondence, placement
+from rbfevo.scenarios import face, plane
 from rbfevo.scenarios.coarse import coarsened
 from rbfevo.scenarios.face import average_face
 

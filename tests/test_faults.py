@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 from test_resume import KilledError, arrays, assert_same, kill_after, settings
 
-from rbfevo import checkpoint, run
 from rbfevo.errors import UserError
 from rbfevo.files import clear_unfinished, write_whole
+from rbfevo.runs import checkpoint, run
 
 
 @pytest.fixture(autouse=True)
@@ -25,7 +25,7 @@ def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def at_step(monkeypatch: pytest.MonkeyPatch, number: int, act: Callable[[], Any]) -> None:
     """Do something when the run has taken so many steps."""
-    from rbfevo.journal import Journal
+    from rbfevo.runs.journal import Journal
 
     count, real = 0, Journal.record
 
@@ -65,7 +65,7 @@ def test_a_disk_that_is_full_for_a_while_does_no_harm(tmp_path, monkeypatch, cap
 
 def test_a_full_disk_leaves_no_method_out(tmp_path, monkeypatch):
     run.carry_out(settings("panel"), tmp_path / "calm")
-    monkeypatch.setattr("rbfevo.journal.BUFFER", 10)
+    monkeypatch.setattr("rbfevo.runs.journal.BUFFER", 10)
     disk = FullDisk(monkeypatch)
     at_step(monkeypatch, 2, lambda: setattr(disk, "full", True))
     at_step(monkeypatch, 6, lambda: setattr(disk, "full", False))

@@ -18,11 +18,12 @@ from matplotlib.image import imread
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
-from rbfevo import figures, pareto
+from rbfevo import figures
 from rbfevo.errors import UserError
 from rbfevo.figures import __main__ as command_line
 from rbfevo.figures import centers, front, local_error, panels, processes, style, view
-from rbfevo.record import knee, read
+from rbfevo.recorded.record import knee, read
+from rbfevo.scoring import pareto
 
 SERIES = {
     "random": style.GREEN,

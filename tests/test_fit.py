@@ -28,10 +28,10 @@ from rbfevo.figures import fit as fit_figure
 from rbfevo.fit import MANIPULATIONS, Objective, deformation, fits, source, strategy
 from rbfevo.fit.__main__ import Progress, main
 from rbfevo.fit.objective import residuals, umbrella
-from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland
-from rbfevo.record import read_fit
+from rbfevo.recorded.record import read_fit
 from rbfevo.scenarios import face, plane
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
 
 
 @pytest.fixture(scope="module")
@@ -534,7 +534,7 @@ def test_a_run_that_cannot_be_rebuilt(
         (honest.replace("subdivisions: 2", "subdivisions: 1"), "other vertices now"),
         (honest.replace("subdivisions: 2", "subdivisions: 77"), "1 to 8"),
         (honest.replace("support: 1.0", "support: 0.4"), "support is 1.0 in summary.json and 0.4 in"),
-        (honest.replace("rbfevo.kernels.wendland", "os.system"), "there is no such key"),
+        (honest.replace("rbfevo.scoring.kernels.wendland", "os.system"), "there is no such key"),
         ("", "is not the configuration of a run"),
         ("- 3\n", "holds no configuration"),
         ("{", "cannot be read"),

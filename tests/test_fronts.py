@@ -13,10 +13,10 @@ from benchmarks.fronts import DIRECTORY, Reference, reference_front
 from benchmarks.panels import PANELS, Panel, chosen
 from benchmarks.strategies import Constrained, hypervolume_aim
 from rbfevo.errors import UserError
-from rbfevo.gradients import Spectrum
-from rbfevo.methods.tracing import Preference
-from rbfevo.pareto import hypervolume, nondominated
-from rbfevo.run import Run
+from rbfevo.methods.gradient.tracing import Preference
+from rbfevo.runs.run import Run
+from rbfevo.scoring.gradients import Spectrum
+from rbfevo.scoring.pareto import hypervolume, nondominated
 
 SMALL = ("scenario.resolution=[12,12]", "centers=4", "evaluator=eager", "method.population=12")
 PANEL = PANELS[0]

@@ -9,13 +9,13 @@ import torch
 from omegaconf import OmegaConf
 from torch import Tensor
 
-from rbfevo.config import Settings, check
 from rbfevo.errors import UserError
-from rbfevo.methods.gradient import GradientSearch
+from rbfevo.methods.gradient.search import GradientSearch
+from rbfevo.methods.method import Method, Rows
 from rbfevo.methods.searches import preferred
-from rbfevo.methods.stage import Method, Rows
-from rbfevo.pareto import hypervolume, nondominated
-from rbfevo.run import Run
+from rbfevo.runs.config import Settings, check
+from rbfevo.runs.run import Run
+from rbfevo.scoring.pareto import hypervolume, nondominated
 
 SMALL = {"starts": 40, "population": 24, "generations": 60, "polish": 6, "front": 20, "coarse": 300}
 
@@ -23,7 +23,7 @@ SMALL = {"starts": 40, "population": 24, "generations": 60, "polish": 6, "front"
 def settings(method: dict, **changes) -> Settings:
     config = {
         "scenario": {"_target_": "rbfevo.scenarios.plane", "resolution": [24, 24], "support": 0.5},
-        "kernel": {"_target_": "rbfevo.kernels.wendland", "support": None},
+        "kernel": {"_target_": "rbfevo.scoring.kernels.wendland", "support": None},
         "manipulation": {"name": "indirect"},
         "method": method,
         "centers": 6,
@@ -56,7 +56,7 @@ FACE = {"_target_": "rbfevo.scenarios.face", "subdivisions": 3, "support": 1.0}
 
 
 def design(scenario: str, kernel: str, manipulation: str) -> dict:
-    changes = {"kernel": {"_target_": f"rbfevo.kernels.{kernel}"}, "manipulation": {"name": manipulation}}
+    changes = {"kernel": {"_target_": f"rbfevo.scoring.kernels.{kernel}"}, "manipulation": {"name": manipulation}}
     return changes if scenario == "plane" else {**changes, "scenario": FACE}
 
 

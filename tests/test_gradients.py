@@ -6,8 +6,8 @@ import pytest
 import torch
 from designs import DESIGNS, KERNELS, PAIRS
 
-from rbfevo.evaluator import Evaluator
-from rbfevo.gradients import Spectrum, differentiable_scores
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.gradients import Spectrum, differentiable_scores
 
 BACKENDS = ("fused", "eager")
 

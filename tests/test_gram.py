@@ -10,12 +10,12 @@ import torch
 from designs import DESIGNS, EPS, KERNELS, PAIRS
 from scipy.linalg import solve_triangular
 
-from rbfevo import fused, gram
-from rbfevo.blocks import vertex_blocks
 from rbfevo.errors import UserError
-from rbfevo.gram import GramAccumulator
-from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
-from rbfevo.threads import run_in_slices
+from rbfevo.geometry.blocks import vertex_blocks
+from rbfevo.scoring import fused, gram
+from rbfevo.scoring.gram import GramAccumulator
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
+from rbfevo.scoring.threads import run_in_slices
 
 backends = pytest.mark.parametrize("backend", ["fused", "eager"])
 pairs = pytest.mark.parametrize(("design", "kernel"), PAIRS)

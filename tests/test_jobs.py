@@ -17,9 +17,10 @@ import pytest
 import trimesh
 from omegaconf import OmegaConf
 
-from rbfevo import checkpoint, jobs, lock
 from rbfevo.__main__ import main
+from rbfevo.commands import jobs
 from rbfevo.errors import UserError
+from rbfevo.runs import checkpoint, lock
 
 ROOT = Path(__file__).parents[1]
 SMALL = ("scenario=plane", "scenario.resolution=[12,12]", "centers=4", "quiet=true", "figures=false", "evaluator=eager")
@@ -52,7 +53,8 @@ def test_a_sweep_that_is_started_again_does_nothing_twice(tmp_path, capsys):
 @pytest.mark.parametrize(("figures", "made"), [("False", False), ("no", False), ("TRUE", True)])
 def test_figures_may_be_written_in_any_way_that_hydra_knows(figures, made, tmp_path, monkeypatch):
     collected = []
-    monkeypatch.setattr("rbfevo.launch.collected", lambda directory, quiet: collected.append((directory, quiet)))
+    collect = "rbfevo.commands.launch.collected"
+    monkeypatch.setattr(collect, lambda directory, quiet: collected.append((directory, quiet)))
     monkeypatch.setattr("rbfevo.figures.draw", lambda run: [])
     words = [word for word in NSGA2 if not word.startswith(("figures", "quiet"))]
     assert main(["-m", *words, f"hydra.sweep.dir={tmp_path}", "seed=0", f"figures={figures}", "quiet=True"]) == 0
@@ -86,7 +88,7 @@ def test_an_interrupted_job_is_taken_up_and_ends_as_if_it_had_not_been(tmp_path,
     state = checkpoint.load(torn)
     assert state["finished"]
     shutil.rmtree(torn)
-    from rbfevo.journal import Journal
+    from rbfevo.runs.journal import Journal
 
     class KilledError(BaseException):
         pass
@@ -106,7 +108,7 @@ def test_an_interrupted_job_is_taken_up_and_ends_as_if_it_had_not_been(tmp_path,
             real(self, records)
 
         patch.setattr(Journal, "record", record)
-        patch.setattr("rbfevo.run.Run.save", lambda *_: None)
+        patch.setattr("rbfevo.runs.run.Run.save", lambda *_: None)
         with pytest.raises(KilledError):
             sweep(tmp_path / "torn", "seed=0,1", "checkpoint.every=0")
     assert not checkpoint.head(torn)["finished"]
@@ -130,7 +132,7 @@ def test_failed_jobs_are_listed_with_the_reason_and_tried_again(tmp_path, capsys
 
 
 def test_a_bug_in_one_job_does_not_end_the_others(tmp_path, monkeypatch, capsys):
-    from rbfevo import run
+    from rbfevo.runs import run
 
     real = run.carry_out
 
@@ -153,7 +155,7 @@ def test_a_mistake_in_the_words_leaves_no_sweep_behind(tmp_path, capsys):
 
 def test_two_sweeps_in_one_directory_are_refused(tmp_path, capsys):
     held = subprocess.Popen(
-        [sys.executable, "-c", "import sys; from pathlib import Path; from rbfevo.lock import locked\n"
+        [sys.executable, "-c", "import sys; from pathlib import Path; from rbfevo.runs.lock import locked\n"
          "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()", str(tmp_path)],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT,
     )  # fmt: skip
@@ -262,7 +264,7 @@ def test_a_killed_command_goes_on(tmp_path):
 
 
 def test_resuming_is_refused_in_one_line_while_the_run_is_on(tmp_path, capsys):
-    code = "import sys; from pathlib import Path; from rbfevo.lock import locked\n"
+    code = "import sys; from pathlib import Path; from rbfevo.runs.lock import locked\n"
     code += "with locked(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
     assert main([*NSGA2, f"hydra.run.dir={tmp_path}"]) == 0
     capsys.readouterr()

@@ -13,7 +13,7 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
 from rbfevo.errors import UserError
-from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland, distances, triharmonic
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland, distances, triharmonic
 
 ALL = [Wendland(0.25), Wendland(1.0), Wendland(3.7), ThinPlate(), Cubic()]
 NAMES = ["wendland 0.25", "wendland 1", "wendland 3.7", "thin plate", "cubic"]

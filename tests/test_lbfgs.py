@@ -8,7 +8,7 @@ import torch
 from scipy.optimize import minimize
 from torch import Tensor
 
-from rbfevo.methods.lbfgs import LBFGS
+from rbfevo.methods.gradient.lbfgs import LBFGS
 
 
 def quadratics(K: int, D: int, seed: int = 0) -> tuple[Tensor, Tensor]:

@@ -306,6 +306,7 @@ def test_small_runs_do_not_wait_for_a_compiler(tmp_path: Path) -> None:
 
 def test_start_up_is_not_slow_because_of_figures() -> None:
     """Figures are drawn by processes of their own: a run itself imports neither pyvista nor matplotlib."""
-    code = "import sys, rbfevo.run; print([m for m in ('pyvista', 'matplotlib', 'vtkmodules') if m in sys.modules])"
+    heavy = ("pyvista", "matplotlib", "vtkmodules")
+    code = f"import sys, rbfevo.runs.run; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.stdout.strip() == "[]", done.stderr

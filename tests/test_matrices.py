@@ -20,14 +20,14 @@ import torch
 from designs import DESIGNS
 from torch import Tensor
 
-from rbfevo import matrices
-from rbfevo.deformation import MANIPULATIONS, RBFDeformation
-from rbfevo.evaluator import Evaluator
-from rbfevo.evolvability import evolvability
-from rbfevo.gradients import Spectrum
-from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland
 from rbfevo.methods.cmaes import CMAES
-from rbfevo.threads import coarse
+from rbfevo.scoring import matrices
+from rbfevo.scoring.deformation import MANIPULATIONS, RBFDeformation
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.evolvability import evolvability
+from rbfevo.scoring.gradients import Spectrum
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
+from rbfevo.scoring.threads import coarse
 
 SIZES = range(1, 27)
 COUNT = 9  # as many as there are places of a float64 in a cache line, and one more
@@ -256,7 +256,7 @@ def test_the_threads_are_left_as_they_were_found() -> None:
 COUNTS = """
 import ctypes, sys, threading
 import torch
-from rbfevo.threads import coarse, run_in_slices
+from rbfevo.scoring.threads import coarse, run_in_slices
 library, found = ctypes.CDLL(sys.argv[1]), []
 def work(begin, end):
     found.append(library.mkl_serv_get_max_threads())

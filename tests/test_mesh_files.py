@@ -17,8 +17,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rbfevo import meshes
+from rbfevo.commands.mesh_report import reported
 from rbfevo.errors import UserError
-from rbfevo.mesh_report import reported
 from rbfevo.meshes import __main__ as report
 from rbfevo.meshes import cells, polygons
 from rbfevo.scenarios.surfaces import read_surface

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from rbfevo.mirror import Mirror
+from rbfevo.geometry.mirror import Mirror
 
 
 @pytest.mark.parametrize("at", [0.0, 0.1, -0.7, 1e6 + 0.1, 1e-6])

@@ -9,12 +9,12 @@ from designs import sphere
 from scipy.spatial.distance import cdist
 
 from rbfevo.errors import UserError
-from rbfevo.evaluator import Evaluator
-from rbfevo.gradients import differentiable_scores
-from rbfevo.kernels import Cubic, Kernel, Wendland
-from rbfevo.methods.tracing import soft_regularity
-from rbfevo.mirror import Mirror
-from rbfevo.mirrored import MirroredEvaluator, MirroredSpectrum
+from rbfevo.geometry.mirror import Mirror
+from rbfevo.methods.gradient.tracing import soft_regularity
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.gradients import differentiable_scores
+from rbfevo.scoring.kernels import Cubic, Kernel, Wendland
+from rbfevo.scoring.symmetric import MirroredEvaluator, MirroredSpectrum
 
 KERNELS = {"wendland": Wendland(0.9), "cubic": Cubic()}
 AXIS, AT = 1, 0.05
@@ -42,7 +42,7 @@ def population() -> torch.Tensor:
 
 
 def oracle(setup: np.ndarray, kernel: Kernel, manipulation: str) -> tuple[float, float]:
-    """R and P of one setup, by plain NumPy from the words of `rbfevo.mirrored`."""
+    """R and P of one setup, by plain NumPy from the words of `rbfevo.scoring.symmetric`."""
     X, g, w = DESIGN.vertices.numpy(), DESIGN.gradient.numpy(), DESIGN.weights.numpy()
 
     def phi(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -13,10 +13,11 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
-from rbfevo import names, overrides
+from rbfevo import names
 from rbfevo.__main__ import main
-from rbfevo.config import CONF, ROOTS
+from rbfevo.commands import overrides
 from rbfevo.errors import UserError
+from rbfevo.runs.config import CONF, ROOTS
 
 SIGNS = r"""ab ,='"[](){}#$\:~%&|;!?*<>@`^é网.-_/0"""
 ODD = [  # each has been a mistake of this program, of Hydra or of OmegaConf

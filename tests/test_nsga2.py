@@ -21,7 +21,7 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.methods.nsga2 import NSGA2, _crossover, _mutate
-from rbfevo.pareto import crowding, nondominated, ranks
+from rbfevo.scoring.pareto import crowding, nondominated, ranks
 
 Objectives = Callable[[Tensor], Tensor]
 

@@ -13,7 +13,7 @@ from designs import EPS, Design, exact_scores
 
 from benchmarks import numbers
 from benchmarks.digits import exact
-from rbfevo.deformation import MANIPULATIONS
+from rbfevo.scoring.deformation import MANIPULATIONS
 
 ROOT = Path(__file__).parents[1]
 

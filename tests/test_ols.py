@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import torch
 
-from rbfevo import gram
 from rbfevo.errors import UserError
-from rbfevo.kernels import Wendland, distances
 from rbfevo.methods.ols import grid_candidates, ols
+from rbfevo.scoring import gram
+from rbfevo.scoring.kernels import Wendland, distances
 
 
 def textbook(Phi, g, count, tolerance=1e-9, vanish=1e-12):

@@ -6,8 +6,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rbfevo.mirror import Mirror
-from rbfevo.parameterization import BoxRegion, Parameterization, VertexRegion
+from rbfevo.geometry.mirror import Mirror
+from rbfevo.geometry.parameterization import BoxRegion, Parameterization, VertexRegion
 
 ONES = torch.ones(3, dtype=torch.float64)
 MIRROR = Mirror.across(1, 0.2, -2 * ONES, 2 * ONES)

@@ -14,7 +14,7 @@ from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.pareto import best, crowding, hypervolume, knee, nondominated, ranks, well_spread
+from rbfevo.scoring.pareto import best, crowding, hypervolume, knee, nondominated, ranks, well_spread
 
 NAN, INF = math.nan, math.inf
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from rbfevo.errors import UserError
-from rbfevo.picks import pick
-from rbfevo.record import Record, knee
+from rbfevo.recorded.picks import pick
+from rbfevo.recorded.record import Record, knee
 
 ROOT = Path(__file__).parents[1]
 
@@ -91,6 +91,7 @@ def test_without_a_front_or_without_scores() -> None:
 
 
 def test_records_and_picks_need_no_torch() -> None:
-    code = "import sys, rbfevo.picks; print([m for m in ('torch', 'matplotlib', 'pyvista') if m in sys.modules])"
+    heavy = ("torch", "matplotlib", "pyvista")
+    code = f"import sys, rbfevo.recorded.picks; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert done.stdout.strip() == "[]", done.stderr

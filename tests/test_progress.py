@@ -7,9 +7,9 @@ import io
 import pytest
 from rich.console import Console
 
-from rbfevo import compilation
-from rbfevo.methods.stage import Record
-from rbfevo.progress import Rate, Reporter
+from rbfevo.methods.method import Record
+from rbfevo.runs.progress import Rate, Reporter
+from rbfevo.scoring import compilation
 
 
 def record(method: str = "nsga2") -> Record:

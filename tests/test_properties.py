@@ -17,16 +17,16 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
-from rbfevo.deformation import MANIPULATIONS
-from rbfevo.evaluator import Evaluator
-from rbfevo.evolvability import Scores
-from rbfevo.gradients import Spectrum
-from rbfevo.kernels import Cubic, Kernel, ThinPlate, Wendland
 from rbfevo.methods.cmaes import CMAES
+from rbfevo.methods.method import Rows
 from rbfevo.methods.nsga2 import NSGA2
-from rbfevo.methods.stage import Rows
-from rbfevo.pareto import best, crowding, hypervolume, knee, nondominated, ranks, well_spread
-from rbfevo.storage import setup_table
+from rbfevo.runs.storage import setup_table
+from rbfevo.scoring.deformation import MANIPULATIONS
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.evolvability import Scores
+from rbfevo.scoring.gradients import Spectrum
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
+from rbfevo.scoring.pareto import best, crowding, hypervolume, knee, nondominated, ranks, well_spread
 
 NAN, INF = math.nan, math.inf
 TINY, HUGE = 5e-324, 1.7976931348623157e308

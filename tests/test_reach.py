@@ -7,10 +7,10 @@ import dataclasses
 import pytest
 import torch
 
-from rbfevo.kernels import Cubic, Wendland
-from rbfevo.mirror import Mirror
-from rbfevo.reach import out_of_reach, unfit
+from rbfevo.geometry.mirror import Mirror
 from rbfevo.scenarios import plane
+from rbfevo.scenarios.reach import out_of_reach, unfit
+from rbfevo.scoring.kernels import Cubic, Wendland
 
 
 def test_a_center_whose_image_alone_reaches_a_vertex_is_not_idle() -> None:

@@ -20,8 +20,8 @@ from rbfevo.errors import UserError
 from rbfevo.figures import __main__ as command_line
 from rbfevo.figures.report import content, page
 from rbfevo.figures.report.surface import surface_of
-from rbfevo.pareto import nondominated
-from rbfevo.record import Record, read
+from rbfevo.recorded.record import Record, read
+from rbfevo.scoring.pareto import nondominated
 
 
 class Parts(html.parser.HTMLParser):

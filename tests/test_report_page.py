@@ -20,11 +20,12 @@ from browsers import WINDOW, chosen, opened, settled
 from PIL import Image
 from test_figures import change, write
 
-from rbfevo import collect, export, pareto
+from rbfevo import collect, export
 from rbfevo.figures import __main__ as figures
 from rbfevo.figures.local_error import reached
-from rbfevo.picks import pick
-from rbfevo.record import read
+from rbfevo.recorded.picks import pick
+from rbfevo.recorded.record import read
+from rbfevo.scoring import pareto
 
 if TYPE_CHECKING:
     from playwright.sync_api import Page

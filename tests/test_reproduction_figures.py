@@ -22,8 +22,8 @@ from studies import drawn, full_study
 
 from benchmarks.panels import PANELS
 from rbfevo.figures import style
-from rbfevo.pareto import nondominated
 from rbfevo.scenarios.face import face
+from rbfevo.scoring.pareto import nondominated
 from reproduction import figures
 from reproduction.figures import __main__ as command_line
 from reproduction.figures import exhibits, fronts, functions, processes, shapes, wording

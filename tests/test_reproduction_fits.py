@@ -12,7 +12,7 @@ from studies import TINY, began, full_study, put
 
 from benchmarks.panels import PANELS
 from rbfevo.fit import MANIPULATIONS, STRATEGIES
-from rbfevo.storage import csv_text, write_whole
+from rbfevo.runs.storage import csv_text, write_whole
 from reproduction import fits, measures, pays, pays_page, runs
 from reproduction.claims import CLAIMS
 from reproduction.figures import fitted

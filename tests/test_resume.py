@@ -14,11 +14,12 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from rbfevo import checkpoint, resume, run
-from rbfevo.config import Settings, check
+from rbfevo.commands import resume
 from rbfevo.errors import UserError
-from rbfevo.journal import Journal
-from rbfevo.methods.stage import Record
+from rbfevo.methods.method import Record
+from rbfevo.runs import checkpoint, run
+from rbfevo.runs.config import Settings, check
+from rbfevo.runs.journal import Journal
 
 NSGA2 = {"_target_": "rbfevo.methods.Nsga2Search", "population": 8, "generations": 7}
 CMAES = {"_target_": "rbfevo.methods.CmaesSearch", "population": 6, "parents": 3, "generations": 6}
@@ -49,7 +50,7 @@ def settings(name: str, every: float | None = 0, **changes: Any) -> Settings:
     method, preference = METHODS[name]
     config = {
         "scenario": {"_target_": "rbfevo.scenarios.plane", "resolution": [14, 14], "support": 0.5},
-        "kernel": {"_target_": "rbfevo.kernels.wendland", "support": None},
+        "kernel": {"_target_": "rbfevo.scoring.kernels.wendland", "support": None},
         "manipulation": {"name": "direct"},
         "method": method,
         "preference": preference,
@@ -250,7 +251,7 @@ def test_other_versions_are_told(half):
 
 
 def test_a_changed_design_is_refused(half, monkeypatch):
-    monkeypatch.setattr("rbfevo.run.digest", lambda *parts: "another")
+    monkeypatch.setattr("rbfevo.runs.run.digest", lambda *parts: "another")
     refused(half, "has a file changed")
 
 

@@ -12,11 +12,11 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from rbfevo import run
-from rbfevo.config import Settings, check
 from rbfevo.errors import UserError
-from rbfevo.evolvability import Scores
-from rbfevo.methods.stage import Rows, random_stream
+from rbfevo.methods.method import Rows, random_stream
+from rbfevo.runs import run
+from rbfevo.runs.config import Settings, check
+from rbfevo.scoring.evolvability import Scores
 
 METHODS = {
     "nsga2": {"_target_": "rbfevo.methods.Nsga2Search", "population": 8, "generations": 3},
@@ -35,7 +35,7 @@ def settings(method: str, **changes) -> Settings:
     node = METHODS.get(method, {"_target_": "rbfevo.methods.Panel", **METHODS})
     config = {
         "scenario": {"_target_": "rbfevo.scenarios.plane", "resolution": [14, 14], "support": 0.5},
-        "kernel": {"_target_": "rbfevo.kernels.wendland", "support": None},
+        "kernel": {"_target_": "rbfevo.scoring.kernels.wendland", "support": None},
         "manipulation": {"name": "indirect"},
         "method": node,
         "centers": 5,

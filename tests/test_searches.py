@@ -13,17 +13,17 @@ import trimesh
 from test_gradient import gradient, settings
 from torch import Tensor
 
-from rbfevo.evolvability import Scores
-from rbfevo.methods.gradient import GradientSearch
+from rbfevo.methods.gradient.lbfgs import LBFGS
+from rbfevo.methods.gradient.search import GradientSearch
+from rbfevo.methods.gradient.teams import FrontTeam, WishTeam
+from rbfevo.methods.gradient.tracing import soft_regularity
 from rbfevo.methods.heuristics import LloydHeuristic, OlsHeuristic
-from rbfevo.methods.lbfgs import LBFGS
 from rbfevo.methods.lloyd import lloyd
+from rbfevo.methods.method import Method, Problem, Rows
 from rbfevo.methods.ols import grid_candidates, ols
 from rbfevo.methods.searches import CmaesSearch, Nsga2Search, preferred
-from rbfevo.methods.stage import Method, Problem, Rows
-from rbfevo.methods.teams import FrontTeam, WishTeam
-from rbfevo.methods.tracing import soft_regularity
-from rbfevo.run import Run
+from rbfevo.runs.run import Run
+from rbfevo.scoring.evolvability import Scores
 
 NSGA2 = {"_target_": "rbfevo.methods.Nsga2Search", "population": 12, "generations": 3}
 CMAES = {"_target_": "rbfevo.methods.CmaesSearch", "population": 12, "parents": 4, "generations": 12}

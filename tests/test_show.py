@@ -19,8 +19,8 @@ from rbfevo import show
 from rbfevo.errors import UserError
 from rbfevo.figures import processes, scene
 from rbfevo.figures.scene import COLOURS, KEYS, SHAPES, SOFTWARE, Fields, State
-from rbfevo.picks import pick
-from rbfevo.record import Record, read
+from rbfevo.recorded.picks import pick
+from rbfevo.recorded.record import Record, read
 
 MIRROR = {"axis": "x", "at": 0.0}
 
@@ -251,7 +251,7 @@ from pathlib import Path
 import numpy as np
 from rbfevo.figures import window
 from rbfevo.figures.scene import State
-from rbfevo.record import read
+from rbfevo.recorded.record import read
 window.SIZE = (600, 430)
 shown = {}
 for run, keys in zip(sys.argv[2::2], sys.argv[3::2]):
@@ -483,7 +483,7 @@ import json, sys
 from pathlib import Path
 from rbfevo.figures.scene import State
 from rbfevo.figures.window import Window
-from rbfevo.record import read
+from rbfevo.recorded.record import read
 run = Path(sys.argv[1])
 state = State(read(run), "index:9")
 window = Window(run, state.record, state, off_screen=False)

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rbfevo import storage
 from rbfevo.errors import UserError
+from rbfevo.runs import storage
 
 
 def test_a_file_is_replaced_whole(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rbfevo.errors import UserError
+from rbfevo.geometry import placement
 from rbfevo.meshes import ENDINGS
-from rbfevo.scenarios import placement
 from rbfevo.scenarios.surfaces import read_surface
 
 BALL = trimesh.creation.icosphere(subdivisions=1, radius=3.0)

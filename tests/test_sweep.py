@@ -16,15 +16,16 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from rbfevo import pareto, sweep
 from rbfevo.errors import UserError
-from rbfevo.record import knee, read
+from rbfevo.recorded import sweep
+from rbfevo.recorded.record import knee, read
+from rbfevo.scoring import pareto
 
 NAN, INF = math.nan, math.inf
 VERTICES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0], [1.0, 2.0]])
 CONFIG = {
     "scenario": {"_target_": "rbfevo.scenarios.plane", "resolution": [30, 30], "support": 0.5},
-    "kernel": {"_target_": "rbfevo.kernels.wendland", "support": None},
+    "kernel": {"_target_": "rbfevo.scoring.kernels.wendland", "support": None},
     "manipulation": {"name": "indirect"},
     "method": {"_target_": "rbfevo.methods.GradientSearch", "generations": 6},
     "seed": 0,

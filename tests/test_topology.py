@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from rbfevo.scenarios import topology
-from rbfevo.scenarios.crossings import piercing_edges
+from rbfevo.geometry import topology
+from rbfevo.geometry.crossings import piercing_edges
 
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=3.0)
 BOX = trimesh.creation.box(extents=(1.0, 2.0, 3.0))

@@ -12,8 +12,7 @@ from designs import PAIRS
 from test_gradients import evaluator, setups
 from torch import Tensor
 
-from rbfevo.gradients import Spectrum
-from rbfevo.methods.tracing import (
+from rbfevo.methods.gradient.tracing import (
     Aim,
     Archive,
     Preference,
@@ -24,7 +23,8 @@ from rbfevo.methods.tracing import (
     front_normals,
     soft_regularity,
 )
-from rbfevo.pareto import hypervolume
+from rbfevo.scoring.gradients import Spectrum
+from rbfevo.scoring.pareto import hypervolume
 
 
 def test_climbs_have_floors() -> None:

@@ -7,11 +7,11 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rbfevo import commands
+from rbfevo.commands import parsers
 from rbfevo.errors import UserError
 from rbfevo.figures import processes
 from rbfevo.files import write_whole
-from rbfevo.record import FitRecord, Record, read, read_fit
+from rbfevo.recorded.record import FitRecord, Record, read, read_fit
 
 
 def draw_here(run: Path, figure: str, opengl: bool) -> None:
@@ -44,9 +44,9 @@ def draw_here(run: Path, figure: str, opengl: bool) -> None:
     style.save(picture, run / processes.file_of(figure))
 
 
-def parser() -> commands.Parser:
+def parser() -> parsers.Parser:
     """The options."""
-    made = commands.Parser("rbfevo.figures", "Redraw the figures of a run or a fit.")
+    made = parsers.Parser("rbfevo.figures", "Redraw the figures of a run or a fit.")
     made.add_argument("run", type=Path, metavar="DIR", help="the directory of a run or of a fit")
     made.add_argument(
         "--only", choices=(*processes.FIGURES, *processes.FIT_FIGURES), help="draw one figure, in this very process"
@@ -57,7 +57,7 @@ def parser() -> commands.Parser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, 2 for a user's mistake, or 1 where a figure could not be drawn."""
-    return commands.carried_out(parser, carry_out, arguments)
+    return parsers.carried_out(parser, carry_out, arguments)
 
 
 def carry_out(options: argparse.Namespace) -> int:
@@ -83,4 +83,4 @@ def carry_out(options: argparse.Namespace) -> int:
 
 
 if __name__ == "__main__":
-    commands.start(main)
+    parsers.start(main)

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from rbfevo.errors import UserError
 from rbfevo.figures import panels, plane, space, style
 from rbfevo.figures.local_error import reached
-from rbfevo.record import Record
+from rbfevo.recorded.record import Record
 
 
 def picture(record: Record, *, opengl: bool = True) -> Figure:

@@ -9,11 +9,12 @@ from matplotlib.colors import Normalize, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from rbfevo.arrays import Array
 from rbfevo.figures import style, surface
 from rbfevo.figures.panels import Colors
 from rbfevo.figures.space import CLAY
 from rbfevo.figures.view import FRONT, UP, view_of
-from rbfevo.record import Array, FitRecord
+from rbfevo.recorded.record import FitRecord
 
 SIDE, CURVE = 2.4, 1.9  # inches: a panel's side, the curve's height
 LEFT, RIGHT, GAP, TOP, BOTTOM = 0.8, 0.85, 0.12, 0.95, 0.55

@@ -9,9 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
 
+from rbfevo.arrays import Array
 from rbfevo.figures import style
 from rbfevo.figures.series import HEURISTICS, Series, kinds, series
-from rbfevo.record import Array, Record, knee
+from rbfevo.recorded.record import Record, knee
 
 DECADES = 2.0  # a regularity that spans more than this is drawn on a logarithmic axis
 

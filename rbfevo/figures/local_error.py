@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rbfevo.columns import BLOCK, setup, triharmonic, wendland
-from rbfevo.record import Array, Record
+from rbfevo.arrays import Array
+from rbfevo.recorded.record import Record
+from rbfevo.recorded.setup import BLOCK, setup, triharmonic, wendland
 
 __all__ = ["BLOCK", "local_error", "reached", "triharmonic", "wendland"]
 

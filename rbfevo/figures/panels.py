@@ -12,10 +12,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 
+from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.figures import style
-from rbfevo.picks import best
-from rbfevo.record import Array, Record, knee
+from rbfevo.recorded.picks import best
+from rbfevo.recorded.record import Record, knee
 
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.95, 1.05, 1.12, 0.5, 0.24  # inches
 

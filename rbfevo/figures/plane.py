@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.tri import Triangulation
 
+from rbfevo.arrays import Array
 from rbfevo.figures import style
 from rbfevo.figures.local_error import local_error
 from rbfevo.figures.panels import Choice, Colors, Row
-from rbfevo.record import Array, Record
+from rbfevo.recorded.record import Record
 
 RELIEF = LinearSegmentedColormap.from_list("relief", ["#ffffff", "#e3e3e1", "#a9a9a6"])
 

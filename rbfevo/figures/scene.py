@@ -6,12 +6,13 @@ import functools
 
 import numpy as np
 
-from rbfevo.columns import setup
+from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.export import spatial
 from rbfevo.figures.local_error import local_error
-from rbfevo.picks import pick
-from rbfevo.record import Array, Record
+from rbfevo.recorded.picks import pick
+from rbfevo.recorded.record import Record
+from rbfevo.recorded.setup import setup
 
 COLOURS = {"wanted": "wanted displacement", "left": "what the setup cannot reach"}
 SHAPES = {"template": "template", "reached": "shape within reach", "wanted": "wanted shape"}
@@ -48,7 +49,7 @@ class State:
     def __init__(
         self, record: Record, words: str, other: int | None = None, colour: str = "wanted", shape: str = "template"
     ) -> None:
-        """Start with the setup that `words` pick (`rbfevo.picks`).
+        """Start with the setup that `words` pick (`rbfevo.recorded.picks`).
 
         Raises:
             UserError: if there is no such setup, or this run does not tell what `colour` or `shape` needs.

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rbfevo.figures import style
-from rbfevo.record import Record
+from rbfevo.recorded.record import Record
 
 HEURISTICS = ("random", "lloyd", "ols")
 

@@ -9,13 +9,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize, to_rgb
 
-from rbfevo.columns import setup
+from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.figures import style, surface
 from rbfevo.figures.local_error import local_error
 from rbfevo.figures.panels import Choice, Colors, Row
 from rbfevo.figures.view import View, standpoint, view_of
-from rbfevo.record import Array, Record
+from rbfevo.recorded.record import Record
+from rbfevo.recorded.setup import setup
 
 CLAY = "#cfc3b4"
 SIDE = 2.7  # inches

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 
+from rbfevo.arrays import Array
 from rbfevo.figures import style
 from rbfevo.figures.view import View, hidden
-from rbfevo.record import Array
 
 PIXELS = 540  # as many as the panel has on paper
 GHOST = 0.4  # opacity of centers behind the surface

@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rbfevo.arrays import Array
 from rbfevo.figures.local_error import local_error
-from rbfevo.record import Array, Record
+from rbfevo.recorded.record import Record
 
 FRONT = np.array([0.36, 0.20, 1.0])  # towards the camera: +z is the front, +y is up, slightly turned
 UP = np.array([0.0, 1.0, 0.0])

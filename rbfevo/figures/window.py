@@ -14,13 +14,14 @@ import pyvista
 from matplotlib.image import imsave
 from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
 
+from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.figures import style
 from rbfevo.figures.scene import COLOURS, KEYS, SHAPES, SOFTWARE, Fields, State
 from rbfevo.figures.surface import AMBIENT, DIFFUSE, GHOST
 from rbfevo.figures.view import standpoint, view_of
 from rbfevo.files import write_whole
-from rbfevo.record import Array, Record
+from rbfevo.recorded.record import Record
 
 SIZE = (1200, 860)  # pixels
 LOW, HIGH = 0.14, 0.86  # what setups are drawn between, of the window's height; texts and slider are around them

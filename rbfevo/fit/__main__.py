@@ -10,21 +10,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rbfevo import commands
 from rbfevo.choices import FIT_MANIPULATIONS, FIT_STRATEGIES, refuse_others
+from rbfevo.commands import parsers
 from rbfevo.errors import UserError
 from rbfevo.files import refuse_held
-from rbfevo.picks import pick
-from rbfevo.record import Record, read
+from rbfevo.recorded.picks import pick
+from rbfevo.recorded.record import Record, read
 
 LINE_EVERY = 10.0  # seconds between lines of progress
 SMOOTHNESS = 1.0  # where the target has closest points
 DESCRIPTION = "Optimize the design with a setup of a run, and see how fast and how far it gets."
 
 
-def parser() -> commands.Parser:
+def parser() -> parsers.Parser:
     """The options; their defaults are those of `fits`, but for the smoothness."""
-    made = commands.PickParser("rbfevo.fit", DESCRIPTION)
+    made = parsers.PickParser("rbfevo.fit", DESCRIPTION)
     made.add_argument("--manipulation", help="indirect, direct or orthogonalized; the run's unless given")
     made.add_argument("--strategy", default="isotropic", help="isotropic (only the step size adapts) or cmaes")
     made.add_argument("--seed", type=int, default=0)
@@ -40,7 +40,7 @@ def parser() -> commands.Parser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, 2 for a user's mistake, or 130 and 143 after SIGINT and SIGTERM."""
-    return commands.carried_out(parser, carry_out, arguments)
+    return parsers.carried_out(parser, carry_out, arguments)
 
 
 def carry_out(options: argparse.Namespace) -> int:
@@ -61,9 +61,9 @@ def carry_out(options: argparse.Namespace) -> int:
 
     from rbfevo import figures
     from rbfevo.fit import results, source, strategy
-    from rbfevo.methods.stage import random_stream
-    from rbfevo.run import Interruption
-    from rbfevo.threads import coarse
+    from rbfevo.methods.method import random_stream
+    from rbfevo.runs.run import Interruption
+    from rbfevo.scoring.threads import coarse
 
     say = (lambda _: None) if options.quiet else (lambda line: print(line, flush=True))
     with Interruption() as interruption, coarse():
@@ -134,7 +134,7 @@ def contents(
     interrupted: int | None,
 ) -> dict[str, Any]:
     """The contents of fit.json; errors in squared model units."""
-    from rbfevo.run import versions
+    from rbfevo.runs.run import versions
 
     preference = float(record.preference[row])
     stop = fit.stop if interrupted is None else f"interrupted by {signal.Signals(interrupted).name}"
@@ -189,4 +189,4 @@ def closing(summary: dict[str, Any], out: Path) -> list[str]:
 
 
 if __name__ == "__main__":
-    commands.start(main)
+    parsers.start(main)

@@ -9,11 +9,11 @@ from torch import Tensor
 
 from rbfevo.choices import FIT_MANIPULATIONS as MANIPULATIONS
 from rbfevo.choices import refuse_others
-from rbfevo.deformation import RBFDeformation
 from rbfevo.errors import UserError
-from rbfevo.evolvability import evolvability, singular
-from rbfevo.kernels import Kernel, distances
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.deformation import RBFDeformation
+from rbfevo.scoring.evolvability import evolvability, singular
+from rbfevo.scoring.kernels import Kernel, distances
 
 
 class Deformation(NamedTuple):

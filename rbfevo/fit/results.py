@@ -16,8 +16,8 @@ from rbfevo.fit.manipulations import deformation
 from rbfevo.fit.objective import residuals
 from rbfevo.fit.source import Source
 from rbfevo.fit.strategy import Fit
-from rbfevo.kernels import distances
-from rbfevo.storage import csv_text, npz, write_whole
+from rbfevo.runs.storage import csv_text, npz, write_whole
+from rbfevo.scoring.kernels import distances
 
 RESULTS = ("fit.json", "history.csv", "parameters.npz", "deformed.ply", "fit.png")
 

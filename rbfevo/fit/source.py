@@ -11,12 +11,12 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from rbfevo.config import build, check
 from rbfevo.errors import UserError
-from rbfevo.kernels import Kernel
 from rbfevo.names import existing_home, literal
-from rbfevo.record import Record
+from rbfevo.recorded.record import Record
+from rbfevo.runs.config import build, check
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.kernels import Kernel
 
 SAME = 1e-9  # how far vertices and gradient may be from those of the files, which another machine may have rounded
 

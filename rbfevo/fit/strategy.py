@@ -17,9 +17,9 @@ from rbfevo.choices import refuse_others
 from rbfevo.errors import UserError
 from rbfevo.fit.manipulations import deformation
 from rbfevo.fit.objective import Objective, Optimum, Pairs
-from rbfevo.kernels import Kernel
 from rbfevo.methods.cmaes import CMAES
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.kernels import Kernel
 
 FIRST_STEP = 0.3  # of the wanted displacement: what a first offspring moves the design by, about
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.files import refuse_missing
 from rbfevo.meshes import cells, foreign, program
@@ -22,7 +23,7 @@ from rbfevo.meshes.clouds import read_cloud
 from rbfevo.meshes.glb import read_glb
 from rbfevo.meshes.gmsh import read_gmsh
 from rbfevo.meshes.kratos import read_kratos
-from rbfevo.meshes.mesh import Array, FormatError, Mesh
+from rbfevo.meshes.mesh import FormatError, Mesh
 from rbfevo.meshes.nastran import read_nastran
 from rbfevo.meshes.npy import read_npy
 from rbfevo.meshes.obj import read_obj

@@ -8,15 +8,15 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from rbfevo import commands
+from rbfevo.commands import parsers
 
 DESCRIPTION = """Report what rbfevo sees in a mesh file: its points, cells, arrays and patches, the surface that a
 template would have, and what is odd about it. Nothing is written."""
 
 
-def parser() -> commands.Parser:
+def parser() -> parsers.Parser:
     """The options."""
-    made = commands.Parser("rbfevo.meshes", DESCRIPTION)
+    made = parsers.Parser("rbfevo.meshes", DESCRIPTION)
     made.add_argument("file", type=Path, metavar="FILE", help="a mesh or a cloud")
     made.add_argument("--patches", nargs="+", metavar="NAME", help="patches of it, as scenario.patches takes them")
     made.add_argument("--json", action="store_true", help="for programs")
@@ -29,7 +29,7 @@ def carry_out(options: argparse.Namespace) -> None:
     Raises:
         UserError: if the file cannot be read.
     """
-    from rbfevo.mesh_report import lines, reported
+    from rbfevo.commands.mesh_report import lines, reported
 
     found = reported(options.file, options.patches)
     if options.json:
@@ -41,8 +41,8 @@ def carry_out(options: argparse.Namespace) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Carry out the command line; return 0, or 2 for a user's mistake."""
-    return commands.carried_out(parser, carry_out, arguments)
+    return parsers.carried_out(parser, carry_out, arguments)
 
 
 if __name__ == "__main__":
-    commands.start(main)
+    parsers.start(main)

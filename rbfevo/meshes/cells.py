@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rbfevo.arrays import Array, Ints
 from rbfevo.meshes import polygons
-from rbfevo.meshes.mesh import Array, Cells, Faces, FormatError, Ints
+from rbfevo.meshes.mesh import Cells, Faces, FormatError
 
 TRIANGLES, QUADS = (5, 22, 34, 69, 76), (9, 23, 28, 30, 70, 77)
 STRIP, POLYGON, PIXEL, CURVED_POLYGON = 6, 7, 8, 36

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
+from rbfevo.arrays import Array
 from rbfevo.meshes.columns import recognized
-from rbfevo.meshes.mesh import Array, FormatError, Mesh, written_as
+from rbfevo.meshes.mesh import FormatError, Mesh, written_as
 from rbfevo.meshes.places import Places
 from rbfevo.meshes.tables import read_table
 

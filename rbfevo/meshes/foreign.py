@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.meshes import program
-from rbfevo.meshes.mesh import Array, Cells, Faces, FormatError, Mesh
+from rbfevo.meshes.mesh import Cells, Faces, FormatError, Mesh
 
 PATIENCE, SPEED = 30.0, 2e5  # seconds, and bytes a second: meshio reads some damaged files for ever
 SOLVER = "written anew by meshio, which keeps points, cells and the arrays and sets that it knows, and nothing else"

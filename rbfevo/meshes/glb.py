@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from rbfevo.arrays import Array
 from rbfevo.files import write_whole
-from rbfevo.meshes.mesh import Array, Cells, FormatError, Mesh, narrowed
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed
 
 KEPT = "GLB is written anew: parts, materials and texture coordinates are kept; the scene's tree and animations are not"
 

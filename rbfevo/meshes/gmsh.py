@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from rbfevo.meshes.mesh import Array, Cells, FormatError, Ints, Mesh, narrowed, written_as
+from rbfevo.arrays import Array, Ints
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed, written_as
 from rbfevo.meshes.numbered import places_of
 from rbfevo.meshes.places import Places, integers, lines
 from rbfevo.meshes.places import numbers as floats

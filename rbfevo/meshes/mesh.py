@@ -5,18 +5,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rbfevo.arrays import Array, Ints
 from rbfevo.errors import UserError
 from rbfevo.files import write_whole
-
-Array = NDArray[Any]
-Ints = NDArray[Any]
-Points = Array
-Triangles = Ints
 
 
 class FormatError(ValueError):

@@ -6,7 +6,8 @@ import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from rbfevo.meshes.mesh import Array, FormatError, Mesh, written_as
+from rbfevo.arrays import Array
+from rbfevo.meshes.mesh import FormatError, Mesh, written_as
 from rbfevo.meshes.numbered import Numbered
 
 # Elements by their card: how many fields stand before their nodes, and VTK's kind by the number of nodes.

@@ -6,7 +6,8 @@ import io
 
 import numpy as np
 
-from rbfevo.meshes.mesh import Array, FormatError, Mesh, narrowed, written_as
+from rbfevo.arrays import Array
+from rbfevo.meshes.mesh import FormatError, Mesh, narrowed, written_as
 
 
 def read_npy(content: bytes) -> Mesh:

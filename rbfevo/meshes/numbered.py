@@ -8,7 +8,8 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from rbfevo.meshes.mesh import Array, Cells, FormatError, Ints
+from rbfevo.arrays import Array, Ints
+from rbfevo.meshes.mesh import Cells, FormatError
 
 
 def places_of(wanted: Ints, numbers: Ints) -> tuple[Ints, NDArray[np.bool_]]:

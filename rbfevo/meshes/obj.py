@@ -6,7 +6,8 @@ import re
 
 import numpy as np
 
-from rbfevo.meshes.mesh import Cells, FormatError, Ints, Mesh, stale_normals, written_as
+from rbfevo.arrays import Ints
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh, stale_normals, written_as
 from rbfevo.meshes.places import Places, lines
 
 _CONTINUED = re.compile(rb"\\[ \t]*(?:\r\n|\n|\r)")

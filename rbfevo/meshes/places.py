@@ -11,7 +11,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from rbfevo.meshes.mesh import Array, FormatError
+from rbfevo.arrays import Array
+from rbfevo.meshes.mesh import FormatError
 
 WORD = re.compile(rb"\S+")
 

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rbfevo.meshes.mesh import Array, Cells, FormatError, Mesh, narrowed, stale_normals, written_as
+from rbfevo.arrays import Array
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed, stale_normals, written_as
 from rbfevo.meshes.places import Places, numbers
 
 TYPES = {

@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rbfevo.meshes.mesh import Array, Cells, FormatError, Ints, Mesh, narrowed, written_as
+from rbfevo.arrays import Array, Ints
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed, written_as
 from rbfevo.meshes.places import Places, lines
 
 FACET = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])

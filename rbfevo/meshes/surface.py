@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rbfevo.arrays import Ints
 from rbfevo.errors import UserError
 from rbfevo.meshes import cells
-from rbfevo.meshes.mesh import Ints, Mesh
+from rbfevo.meshes.mesh import Mesh
 
 _SHOWN = 12  # names of patches in a line
 

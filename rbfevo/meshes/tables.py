@@ -10,7 +10,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rbfevo.meshes.mesh import Array, FormatError
+from rbfevo.arrays import Array
+from rbfevo.meshes.mesh import FormatError
 from rbfevo.meshes.places import lines
 
 _COMMENTS = (b"#", b"//", b"%", b"!")

@@ -24,8 +24,8 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.matrices import eigh, product
-from rbfevo.threads import coarse
+from rbfevo.scoring.matrices import eigh, product
+from rbfevo.scoring.threads import coarse
 
 CONDITION_LIMIT = 1e14  # of C
 STEP_RANGE = (1e-100, 1e100)  # of sigma, so that neither underflow nor overflow makes a NaN

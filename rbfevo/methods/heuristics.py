@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from rbfevo.gram import kernel_columns
 from rbfevo.methods.lloyd import lloyd
+from rbfevo.methods.method import Heuristic, Problem, at_least_one
 from rbfevo.methods.ols import grid_candidates, ols
-from rbfevo.methods.stage import Heuristic, Problem, at_least_one
+from rbfevo.scoring.gram import kernel_columns
 
 
 class RandomHeuristic(Heuristic):

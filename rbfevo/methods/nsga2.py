@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.pareto import best
+from rbfevo.scoring.pareto import best
 
 Array = NDArray[np.floating[Any]]
 

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.threads import run_in_slices
+from rbfevo.scoring.threads import run_in_slices
 
 
 class Selection(NamedTuple):

@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.evolvability import Scores
 from rbfevo.methods.cmaes import CMAES
+from rbfevo.methods.method import Method, Problem, Rows, at_least_one, no_preference
 from rbfevo.methods.nsga2 import NSGA2, check_settings
-from rbfevo.methods.stage import Method, Problem, Rows, at_least_one, no_preference
+from rbfevo.scoring.evolvability import Scores
 
 
 class Nsga2Search(Method):

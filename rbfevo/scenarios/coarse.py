@@ -7,7 +7,7 @@ import dataclasses
 import torch
 from torch import Tensor
 
-from rbfevo.blocks import vertex_blocks
+from rbfevo.geometry.blocks import vertex_blocks
 from rbfevo.scenarios.scenario import Scenario
 
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.scenarios import placement
-from rbfevo.scenarios.pairing import REJECTIONS, pair
+from rbfevo.geometry import placement
+from rbfevo.geometry.pairing import REJECTIONS, pair
 from rbfevo.scenarios.scenario import Scenario, unit_gradient
 from rbfevo.scenarios.surfaces import read_surface
 

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.mirror import Mirror
-from rbfevo.parameterization import BoxRegion, Region, VertexRegion
-from rbfevo.scenarios.correspondence import Mask, Points
+from rbfevo.geometry.correspondence import Mask, Points
+from rbfevo.geometry.mirror import Mirror
+from rbfevo.geometry.parameterization import BoxRegion, Region, VertexRegion
 from rbfevo.scenarios.templates import Template
 from rbfevo.scenarios.vertex_arrays import vertex_array
 

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rbfevo.arrays import Array, Ints
 from rbfevo.errors import UserError
-from rbfevo.meshes.mesh import Array, Ints
+from rbfevo.geometry import topology
 from rbfevo.meshes.numbered import places_of
-from rbfevo.scenarios import topology
 from rbfevo.scenarios.templates import Template
 from rbfevo.scenarios.units import nearest_unit
 

@@ -12,18 +12,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.kernels import length
-from rbfevo.parameterization import Region
-from rbfevo.scenarios import fixing, placement, sensitivities, topology
+from rbfevo.geometry import placement, topology
+from rbfevo.geometry.correspondence import Points, Triangles
+from rbfevo.geometry.pairing import REJECTIONS, Pairing, pair
+from rbfevo.geometry.parameterization import Region
+from rbfevo.scenarios import fixing, sensitivities
 from rbfevo.scenarios import symmetry as symmetry_plane
-from rbfevo.scenarios.correspondence import Points, Triangles
 from rbfevo.scenarios.matching import MATCHES
-from rbfevo.scenarios.pairing import REJECTIONS, Pairing, pair
 from rbfevo.scenarios.scenario import Sampler, Scenario, near_one, times_power_of_two, unit_gradient
 from rbfevo.scenarios.surfaces import checked_extent, read_surface
 from rbfevo.scenarios.templates import Template, read_template
 from rbfevo.scenarios.units import nearest_unit
 from rbfevo.scenarios.vertex_arrays import vertex_array
+from rbfevo.scoring.kernels import length
 
 WEIGHTS = ("uniform", "area")
 MIXED_UNITS = 20.0  # times as large: metres and millimetres, or inches and millimetres

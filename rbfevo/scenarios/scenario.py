@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.mirror import Mirror
-from rbfevo.parameterization import Parameterization, Region
+from rbfevo.geometry.mirror import Mirror
+from rbfevo.geometry.parameterization import Parameterization, Region
 
 Sampler = Callable[[int, int, torch.Generator], Tensor]
 Closest = Callable[[NDArray[np.float64]], NDArray[np.float64]]

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
+from rbfevo.arrays import Points, Triangles
 from rbfevo.errors import UserError
 from rbfevo.meshes import FormatError, Mesh, opened, refuse_bad_points, refuse_huge
-from rbfevo.meshes.mesh import Points, Triangles
 from rbfevo.meshes.surface import Surface, surface_of
 from rbfevo.names import existing_home
 

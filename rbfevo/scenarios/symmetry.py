@@ -9,9 +9,9 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.mirror import Mirror
-from rbfevo.scenarios.correspondence import Points, Triangles, closest_on_surface
-from rbfevo.scenarios.topology import rim
+from rbfevo.geometry.correspondence import Points, Triangles, closest_on_surface
+from rbfevo.geometry.mirror import Mirror
+from rbfevo.geometry.topology import rim
 
 LOOKED_AT = 20_000  # vertices: enough to tell how symmetric a mesh is
 LOPSIDED = 0.01  # of the box's diagonal

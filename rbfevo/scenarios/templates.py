@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rbfevo.arrays import Array, Points, Triangles
 from rbfevo.errors import UserError
 from rbfevo.meshes import cells, opened
-from rbfevo.meshes.mesh import Array, Mesh, Points, Triangles
+from rbfevo.meshes.mesh import Mesh
 from rbfevo.meshes.surface import Surface
 from rbfevo.names import existing_home
 from rbfevo.scenarios.surfaces import checked_extent, surface

@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.meshes.columns import Columns, Group, recognized
-from rbfevo.meshes.mesh import Array, FormatError
+from rbfevo.meshes.mesh import FormatError
 from rbfevo.meshes.tables import Table, read_table
 from rbfevo.names import existing_home
 from rbfevo.scenarios import matching

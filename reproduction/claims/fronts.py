@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from scipy.spatial import ConvexHull
 
-from rbfevo.pareto import hypervolume
+from rbfevo.scoring.pareto import hypervolume
 from reproduction import measures
 from reproduction.claims.claim import Case, Claim, claim
 from reproduction.study import Study, panels_of

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from benchmarks.panels import Panel
-from rbfevo.config import build
-from rbfevo.deformation import MANIPULATIONS, RBFDeformation
-from rbfevo.evaluator import Evaluator
-from rbfevo.kernels import Wendland
-from rbfevo.methods.stage import random_stream
+from rbfevo.methods.method import random_stream
+from rbfevo.runs.config import build
+from rbfevo.scoring.deformation import MANIPULATIONS, RBFDeformation
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.kernels import Wendland
 from reproduction.claims.claim import Case, Claim, claim
 from reproduction.study import SCENARIOS, Array, Setups, Study, kernel_of, panels_of
 

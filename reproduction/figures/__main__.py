@@ -7,9 +7,9 @@ import argparse
 import sys
 from pathlib import Path
 
-from rbfevo import storage
 from rbfevo.errors import UserError
 from rbfevo.figures.processes import USER_ERROR
+from rbfevo.runs import storage
 from reproduction.figures import exhibits, processes
 from reproduction.figures.wording import FIGURES, captions
 from reproduction.study import Study

@@ -8,9 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.panels import Panel
-from rbfevo import storage
-from rbfevo.deformation import MANIPULATIONS
-from rbfevo.record import Array, Record
+from rbfevo.arrays import Array
+from rbfevo.recorded.record import Record
+from rbfevo.runs import storage
+from rbfevo.scoring.deformation import MANIPULATIONS
 from reproduction import measures
 from reproduction.study import KINDS, SEARCHES, Setups, Study, panels_of
 

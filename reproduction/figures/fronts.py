@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from benchmarks.panels import Panel
-from rbfevo.deformation import MANIPULATIONS
 from rbfevo.figures import front, style
 from rbfevo.figures.series import Series
-from rbfevo.pareto import hypervolume
+from rbfevo.scoring.deformation import MANIPULATIONS
+from rbfevo.scoring.pareto import hypervolume
 from reproduction.figures import wording
 from reproduction.figures.layout import Sheet, blank
 from reproduction.study import KINDS, Setups, Study, panels_of

@@ -10,8 +10,8 @@ import torch
 from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 
+from rbfevo.arrays import Array
 from rbfevo.figures import style
-from rbfevo.record import Array
 from rbfevo.scenarios.plane import height_field
 from reproduction.figures.layout import Sheet
 

@@ -13,9 +13,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from PIL import Image
 
-from rbfevo import storage
 from rbfevo.figures import style
 from rbfevo.figures.panels import Colors
+from rbfevo.runs import storage
 
 MARGIN = 0.15  # inches
 CAPTION, LINE = 7.5, 0.137  # size of the caption's type in points, height of its lines in inches

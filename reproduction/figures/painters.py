@@ -9,9 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 
+from rbfevo.arrays import Array
 from rbfevo.figures import plane, space, surface
 from rbfevo.figures.panels import Choice, Colors
-from rbfevo.record import Array, Record
+from rbfevo.recorded.record import Record
 from reproduction.figures import surfaces
 
 Draw = Callable[[Axes, Choice], None]

@@ -9,10 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from rbfevo.deformation import MANIPULATIONS
 from rbfevo.figures import style
 from rbfevo.figures.local_error import local_error, reached
 from rbfevo.figures.panels import Choice, Colors
+from rbfevo.scoring.deformation import MANIPULATIONS
 from reproduction.figures import exhibits, wording
 from reproduction.figures.exhibits import Exhibit
 from reproduction.figures.layout import Sheet, blank

@@ -8,11 +8,11 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from rbfevo.config import build
+from rbfevo.arrays import Array
 from rbfevo.figures import style, surface
 from rbfevo.fit import Objective, deformation
-from rbfevo.record import Array
-from rbfevo.scenarios import placement
+from rbfevo.geometry import placement
+from rbfevo.runs.config import build
 from rbfevo.scenarios.face import average_face
 from reproduction.figures import exhibits, surfaces, wording
 from reproduction.figures.exhibits import Exhibit

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
+from rbfevo.arrays import Array
 from rbfevo.figures import style, surface
 from rbfevo.figures.view import View, hidden, view_of
-from rbfevo.record import Array
 
 AMBIENT = 0.8  # of the light on surfaces whose colours mean something
 MARGIN = 0.05  # around what is shown, model units

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable
 
 from benchmarks.panels import PANELS, Panel
-from rbfevo.deformation import MANIPULATIONS
+from rbfevo.scoring.deformation import MANIPULATIONS
 from reproduction.figures import exhibits
 from reproduction.figures.exhibits import Exhibit
 from reproduction.markdown import prose

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from rbfevo import sweep
-from rbfevo.sweep import Group, Member
+from rbfevo.recorded import sweep
+from rbfevo.recorded.sweep import Group, Member
 
 
 def comparison(members: Sequence[Member]) -> dict[str, Any]:

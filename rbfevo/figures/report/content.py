@@ -13,7 +13,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from rbfevo.columns import Setup, setup
+from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.figures import style
 from rbfevo.figures.front import scale_of
@@ -21,7 +21,8 @@ from rbfevo.figures.report.surface import surface_of
 from rbfevo.figures.series import HEURISTICS, kinds, series
 from rbfevo.figures.space import stretch
 from rbfevo.figures.view import standpoint
-from rbfevo.record import Array, Record
+from rbfevo.recorded.record import Record
+from rbfevo.recorded.setup import Setup, setup
 
 MANY = 2_000  # setups of a sweep: above, each run shows its front and its heuristics only
 MOST = 4_000  # setups of a run: above, every so-manieth of those that others dominate is shown

@@ -12,8 +12,8 @@ from typing import Any
 
 from rbfevo.figures.report.comparison import comparison
 from rbfevo.figures.report.content import Shown, content
-from rbfevo.record import Record
-from rbfevo.sweep import Member
+from rbfevo.recorded.record import Record
+from rbfevo.recorded.sweep import Member
 
 PARTS = Path(__file__).parent / "page"
 

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rbfevo.record import Array, Record
+from rbfevo.arrays import Array
+from rbfevo.recorded.record import Record
 
 MOST = 25_000  # vertices: three megabytes in the page, and fluid
 

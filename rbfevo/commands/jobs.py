@@ -1,0 +1,140 @@
+"""The jobs of a sweep: which are done already, where each one works, how many threads it has, and what became of it.
+
+Jobs may be processes of a launcher's, on other machines too; they tell what became of them by files in the sweep's
+directory. What they are is recognized by their settings, not by their number.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from rbfevo.errors import UserError
+from rbfevo.files import write_whole
+from rbfevo.runs.directory import CHECKPOINT
+
+STATUS = ".jobs"  # in the sweep's directory: a directory for each time that it was started
+START = "RBFEVO_START"  # where that directory is, for jobs in other processes
+
+
+STOPPED = (130, 143)  # exit codes after SIGINT and SIGTERM
+
+
+class Outcome(NamedTuple):
+    """What became of a job.
+
+    Attributes:
+        number, words, directory, sweep: of Hydra's, and the sweep's directory.
+        code: its exit code, None as long as there is none; message: why; skipped: whether it was done already.
+        figures, quiet: its settings, once they are known.
+    """
+
+    number: int
+    words: list[str]
+    directory: str
+    sweep: str
+    code: int | None
+    message: str = ""
+    skipped: bool = False
+    figures: bool = True
+    quiet: bool = False
+
+
+def begin(sweep: Path) -> Path:
+    """A place for the outcomes of this start of the sweep, below its directory.
+
+    Raises:
+        UserError: if it cannot be written to.
+    """
+    place = (sweep / STATUS / uuid.uuid4().hex[:12]).absolute()
+    os.environ[START] = str(place)
+    try:
+        place.mkdir(parents=True)
+    except OSError as error:
+        raise UserError(f"{sweep} cannot be written: {error.strerror or error}") from None
+    return place
+
+
+def tell(outcome: Outcome) -> None:
+    """Note what became of a job."""
+    place = Path(os.environ[START])
+    place.mkdir(parents=True, exist_ok=True)
+    write_whole(place / f"{outcome.number}.json", json.dumps(outcome._asdict()).encode())
+
+
+def outcomes(place: Path) -> list[Outcome]:
+    """What became of the jobs, by number."""
+    found = [Outcome(**json.loads(path.read_text())) for path in place.glob("*.json")]
+    return sorted(found, key=lambda outcome: outcome.number)
+
+
+def states(sweep: Path) -> Iterator[tuple[str, Path, bool]]:
+    """The runs below a sweep's directory that have checkpoints: hash of all settings, directory, whether it is done."""
+    from rbfevo.runs import checkpoint
+
+    for path in sorted(sweep.glob(f"**/{CHECKPOINT}")):  # a job's directory may be some levels down
+        try:
+            state = checkpoint.head(path.parent)
+        except UserError:
+            continue
+        yield str(state.get("whole")), path.parent, bool(state.get("finished"))
+
+
+def place_of(sweep: Path, numbered: Path, whole: str) -> tuple[Path, str]:
+    """Where the job with settings of hash `whole` works, and how: `new`, `resume`, or `done`.
+
+    That is where it has worked before; else `numbered`, unless another job has left something there.
+    """
+    for known, directory, finished in states(sweep):
+        if known == whole:
+            return directory, "done" if finished else "resume"
+    taken = numbered.is_dir() and any(path.name not in (".lock", ".hydra") for path in numbered.iterdir())
+    return (numbered.with_name(f"{numbered.name}-{whole[:8]}") if taken else numbered), "new"
+
+
+def summary(found: list[Outcome]) -> list[str]:
+    """What there is to say at the end of a sweep."""
+    common = set.intersection(*(set(outcome.words) for outcome in found)) if found[1:] else set()
+
+    def told(outcome: Outcome) -> str:
+        return (
+            f"  {outcome.number} ({' '.join(word for word in outcome.words if word not in common) or 'the only job'})"
+        )
+
+    stopped = [outcome for outcome in found if outcome.code in STOPPED]
+    failed = [outcome for outcome in found if outcome.code not in (0, None, *STOPPED)]
+    lost = [outcome for outcome in found if outcome.code is None]
+    skipped = sum(outcome.skipped for outcome in found)
+    lines = []
+    if skipped:
+        lines.append(f"{skipped} of {len(found)} jobs were done already")
+    if failed or lost:
+        lines.append(f"{len(failed) + len(lost)} of {len(found)} jobs failed:")
+        lines += [f"{told(outcome)}: {outcome.message or 'no reason given'}" for outcome in failed]
+        lines += [f"{told(outcome)}: its process ended without a word" for outcome in lost]
+    if stopped:
+        lines.append("interrupted")
+    if failed or lost or stopped:
+        lines.append("start the same sweep again to take up what is not done, and nothing else")
+    return lines
+
+
+def threads(launcher: Any, jobs: int | None = None) -> int | None:
+    """Threads for one job, so that all that run at once share the cores; None leaves them as they are.
+
+    Args:
+        launcher: Hydra's configuration of the launcher; jobs: how many there are, if that is known.
+    """
+    target = str(launcher.get("_target_", ""))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if "joblib" in target.lower():
+        asked = int(launcher.get("n_jobs") or -1)
+        at_once = asked if asked > 0 else max(1, cores + 1 + asked)
+        return max(1, cores // min(at_once, jobs or at_once))
+    if "submitit" in target.lower():
+        return max(1, int(os.environ.get("SLURM_CPUS_PER_TASK") or launcher.get("cpus_per_task") or 1))
+    return None

@@ -1,0 +1,116 @@
+"""What all command lines share: how they are read, and the exit code and the one line with which they end.
+
+0 is success, 2 a user's mistake, 130 Ctrl-C, 143 SIGTERM, 1 a fault of the program or of the machine. A closed pipe
+(`| head`) silences a command and nothing else: its work goes on to the end, and the exit code is that of the work.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, NoReturn, cast
+
+from rbfevo.errors import UserError
+
+SUCCESS, MISTAKE, INTERRUPTED = 0, 2, 130
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser of `python -m NAME ...` whose complaints are one line."""
+
+    def __init__(self, name: str, description: str, epilog: str = "") -> None:
+        super().__init__(
+            prog=f"python -m {name}",
+            description=description,
+            epilog=epilog,
+            allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+        self.name = name
+
+    def error(self, message: str) -> NoReturn:
+        raise UserError(f"{message}; see {self.prog} --help")
+
+
+class PickParser(Parser):
+    """A parser of `python -m NAME RUN --pick ...`."""
+
+    def __init__(self, name: str, description: str, epilog: str = "", default: str | None = None) -> None:
+        from rbfevo.recorded.picks import PICKS  # with NumPy
+
+        super().__init__(name, description, epilog)
+        self.add_argument("run", type=Path, metavar="RUN", help="a run directory, as python -m rbfevo leaves it")
+        which = f"which of its setups: {', '.join(PICKS)}"
+        which += "" if default is None else f"; {default}"
+        self.add_argument("--pick", required=default is None, help=which)
+
+
+def carried_out(
+    parser: Callable[[], Parser],
+    carry_out: Callable[[argparse.Namespace], int | None],
+    arguments: Sequence[str] | None,
+) -> int:
+    """Read the words of a command line and carry them out; the exit code."""
+    made = parser()
+    return outcome(made.name, lambda: carry_out(made.parse_args(arguments)))
+
+
+def outcome(name: str, work: Callable[[], int | None]) -> int:
+    """The exit code of some work, 0 where it gives none; a mistake and Ctrl-C are one line."""
+    try:
+        return work() or SUCCESS
+    except UserError as error:
+        complain(name, str(error))
+        return MISTAKE
+    except KeyboardInterrupt:
+        complain(name, "interrupted")
+        return INTERRUPTED
+
+
+def complain(name: str, message: str) -> None:
+    """One line on stderr."""
+    print(f"{name}: {' '.join(message.split())}", file=sys.stderr, flush=True)
+
+
+def start(main: Callable[[], int]) -> NoReturn:
+    """Let a command be the whole process: its exit code is the process's."""
+    steady_streams()
+    sys.exit(main())
+
+
+def steady_streams() -> None:
+    """Let no line on stdout or stderr end this process: nobody may read it any more, or it may not be encodable.
+
+    What is written to a closed pipe is lost. File names that are no text are written as the bytes that they are.
+    """
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if isinstance(stream, io.TextIOWrapper) and stream is getattr(sys, f"__{name}__"):  # none else put it there
+            stream.flush()
+            raw = _Pipe(stream.fileno(), "wb", closefd=False)
+            escaped = "surrogateescape" if stream.encoding.lower().startswith("utf") else "backslashreplace"
+            steady = io.TextIOWrapper(
+                cast(BinaryIO, raw) if stream.write_through else io.BufferedWriter(raw),
+                encoding=stream.encoding,
+                errors=escaped if stream.errors == "strict" else stream.errors,
+                line_buffering=stream.line_buffering,
+                write_through=stream.write_through,
+            )
+            setattr(sys, name, steady)
+
+
+class _Pipe(io.FileIO):
+    """A file that becomes the null device once it is a pipe that nobody reads any more."""
+
+    def write(self, content: Any) -> int:
+        try:
+            return super().write(content)
+        except BrokenPipeError:
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self.fileno())
+            os.close(null)
+            return memoryview(content).nbytes

@@ -1,0 +1,34 @@
+"""PyGeM's parameter file (.prm) for its RBF deformation: kernel, control points, where they go."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rbfevo.arrays import Array
+from rbfevo.errors import UserError
+from rbfevo.recorded.setup import Setup
+
+LINEAR = "PyGeM adds a linear polynomial to the RBFs, and so deforms differently between the control points"
+
+
+def parameters(setup: Setup, displacements: Array) -> bytes:
+    """The file for displacements [m, 3] of the centers of a setup in space; images are control points of their own.
+
+    Raises:
+        UserError: if the control points do not determine PyGeM's linear polynomial.
+    """
+    original = setup.centers_and_images().points
+    if original.shape[1] < 3 or np.linalg.matrix_rank(original - original.mean(axis=0)) < 3:
+        raise UserError("PyGeM adds a linear polynomial in x, y and z, which control points in one plane do not fix")
+    deformed = original + setup.with_images(displacements)
+    if setup.support is not None:
+        kernel = ["basis function: beckert_wendland_c2_basis", f"radius: {setup.support!r}"]
+    else:
+        kernel = ["basis function: polyharmonic_spline", "radius: 1.0", "k: 3"]
+    lines = ["# RBF parameters for PyGeM, written by rbfevo.", f"# {LINEAR}.", ""]
+    lines += ["[Radial Basis Functions]", *kernel, "", "[Control points]"]
+    for name, points in (("original", original), ("deformed", deformed)):
+        # Lines after the first must be indented: they belong to one value.
+        rows = ["   ".join(repr(number) for number in point) for point in points.tolist()]
+        lines += [f"{name} control points: " + f"\n{' ' * 25}".join(rows), ""]
+    return "\n".join(lines).encode()

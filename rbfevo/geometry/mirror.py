@@ -1,0 +1,61 @@
+"""Symmetry about a plane: every center has a mirror image, and the two move as mirror images of each other.
+
+With c' the image of c, the displacement that the parameters p_c cause is phi(|c - x|) p_c + phi(|c' - x|) p_c', where
+p_c' is p_c with its component across the plane turned over. So column c of U is phi_c + phi_c' for the components of a
+displacement along the plane, and phi_c - phi_c' for the component across it.
+
+A center on the plane is its own image: it counts twice along the plane and has no column across. So R jumps there: of
+a pair that comes close, the column across vanishes and takes R with it, while a center on the plane has none to lose.
+Searches therefore keep the number of centers on the plane, but for those that a bound stops just there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+
+ON_PLANE = 1e-12  # of the box's diagonal: a center that close to the plane is its own image
+ROUNDING = 8 * torch.finfo(torch.float64).eps  # of the largest coordinate of the box: the same far from the origin
+
+
+class Mirror(NamedTuple):
+    """The plane on which coordinate `axis` is `at` (model units); within `tolerance` of it a center lies on it."""
+
+    axis: int
+    at: float
+    tolerance: float
+
+    @staticmethod
+    def across(axis: int, at: float, lower: Tensor, upper: Tensor) -> Mirror:
+        """The plane through a box [d], [d], with the tolerance that belongs to the box.
+
+        Raises:
+            UserError: if the plane does not cross the box.
+        """
+        if not float(lower[axis]) <= at <= float(upper[axis]):
+            raise UserError(
+                f"the symmetry plane {'xyz'[axis]} = {at:g} does not cross the box, where {'xyz'[axis]} runs from "
+                f"{float(lower[axis]):g} to {float(upper[axis]):g}"
+            )
+        farthest = float(torch.stack((lower, upper)).abs().max())
+        return Mirror(axis, at, max(ON_PLANE * float((upper - lower).norm()), ROUNDING * farthest))
+
+    def image(self, points: Tensor) -> Tensor:
+        """Mirror images of points [..., d]."""
+        images = points.clone()
+        images[..., self.axis] = 2.0 * self.at - points[..., self.axis]
+        return images
+
+    def on_plane(self, points: Tensor) -> Tensor:
+        """Which of points [..., d] lie on the plane, [...] bool."""
+        return (points[..., self.axis] - self.at).abs() <= self.tolerance
+
+    def snapped(self, points: Tensor) -> Tensor:
+        """Points [..., d], those on the plane exactly on it, so that they are their own images to the last bit."""
+        points = points.clone()
+        points[..., self.axis] = torch.where(self.on_plane(points), self.at, points[..., self.axis])
+        return points

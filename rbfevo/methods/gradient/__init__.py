@@ -1,0 +1,1 @@
+"""The search by gradients: quasi-Newton climbs that trace the front."""

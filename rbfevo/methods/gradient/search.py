@@ -1,0 +1,172 @@
+"""The whole front, or one setup per preference, by gradients: one batch of quasi-Newton climbs from many starts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.methods.gradient.lbfgs import LBFGS
+from rbfevo.methods.gradient.teams import RANDOM, FrontTeam, Team, WishTeam
+from rbfevo.methods.gradient.tracing import exponents, soft_regularity
+from rbfevo.methods.heuristics import LloydHeuristic, OlsHeuristic
+from rbfevo.methods.method import Method, Problem, Rows, at_least_one
+from rbfevo.methods.searches import unscored
+
+ROUNDS = 5
+FIRST_ROUND = 0.3  # of the generations: starts climb on their own before the front is looked at
+REFRESH = 10  # generations of the first round after which the smoothing is fitted to what R has become
+SHARPNESS = 16.0  # of the smooth R in the first round; doubled in every later one
+SCATTER = 0.05  # of the box: standard deviation of the most scattered copy of a heuristic setup
+
+
+class GradientSearch(Method):
+    """The front of regularity and improvement potential, or with preferences one setup for each (paper, eq. 9).
+
+    A generation is one value and gradient of `population` setups: `generations` of them on a design of about `coarse`
+    weighted vertices, then `polish` on all vertices. Starts are copies of the Lloyd and the OLS setup, scattered, and
+    random setups. After each of five rounds the setups are put where the front found so far has most to gain, but for
+    two teams that go on for R and for P alone.
+
+    Args:
+        starts: setups that climb in the first round; not used for preferences.
+        population: setups that climb in later rounds, at least 16 and at most `starts`; for preferences in all of them.
+        generations: on the coarse design.
+        polish: generations on all vertices.
+        front: setups of the front that are returned; at least 2.
+        coarse: vertices of the coarse design, about; at least 100.
+        memory: pairs that the quasi-Newton method keeps of each setup.
+    """
+
+    name = "gradient"
+    prefers = True
+
+    def __init__(
+        self,
+        starts: int = 160,
+        population: int = 72,
+        generations: int = 170,
+        polish: int = 15,
+        front: int = 100,
+        coarse: int = 2000,
+        memory: int = 20,
+    ) -> None:
+        least = {"population": (population, 16), "front": (front, 2), "coarse": (coarse, 100)}
+        for name, (value, smallest) in least.items():
+            if value < smallest:
+                raise UserError(f"gradient: {name}={value}: at least {smallest} is needed")
+        self.generations = at_least_one("gradient: generations", generations)
+        self.polish = at_least_one("gradient: polish", polish)
+        self.memory = at_least_one("gradient: memory", memory)
+        self.steps = self.generations + self.polish
+        self.starts = at_least_one("gradient: starts", starts)
+        self.population = population
+        self.initial = max(starts, population)  # of which each has a random setup of its own to start at
+        self.front, self.coarse = front, coarse
+        first = max(1, round(FIRST_ROUND * self.generations))
+        later = (self.generations - first) / (ROUNDS - 1)
+        self._ends = sorted({first + round(i * later) for i in range(ROUNDS)})
+
+    def check(self, preferences: tuple[float, ...] | None) -> None:
+        if preferences is None and self.starts < self.population:
+            raise UserError(f"gradient: starts={self.starts}: at least population={self.population} is needed")
+
+    def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
+        if preferences is None:
+            return self._ends[0] * self.starts + (self.steps - self._ends[0]) * self.population
+        each = WishTeam.share(self.population, len(preferences))
+        return len(preferences) * (self.generations * each + self.polish * (each // 4))
+
+    def start(self, problem: Problem) -> None:
+        self.check(problem.preferences)
+        self._fine, self._problem = problem, problem.coarsened(self.coarse)
+        self._side = problem.upper - problem.lower
+        self._step, self._sharpness, self._renew = 0, SHARPNESS, True
+        self._exponents: Tensor | None = None
+        like = problem.initial.centers
+        self._generator = problem.stream(self.name)
+        if problem.preferences is None:
+            self._team: Team = FrontTeam(self.starts, self.population, self.front, like)
+        else:
+            wishes = torch.tensor(problem.preferences, dtype=like.dtype, device=like.device)
+            self._team = WishTeam(self.population, wishes, self._generator)
+        self._climb = LBFGS(self._starts(), self.memory)
+
+    def _starts(self) -> Tensor:
+        """[size, D] in the unit box: what each element of the team wants, scattered or random."""
+        problem = self._problem
+        lloyd = LloydHeuristic(starts=3, iterations=50).place(problem)[0]
+        ols = OlsHeuristic(per_axis=30 if len(self._side) == 2 else 15).place(problem)[0]
+        kind, scatter = self._team.origins()
+        where = self._generator.device
+        noise = torch.randn(len(kind), *lloyd.shape, generator=self._generator, dtype=lloyd.dtype, device=where)
+        scattered = SCATTER * scatter[:, None, None] * self._side * noise.to(lloyd.device)
+        random = problem.initial.centers
+        random = random[torch.arange(len(kind), device=random.device) % len(random)]
+        base = torch.stack((lloyd, ols))[kind.clamp_min(0)] + scattered
+        centers = problem.parameterization(torch.where((kind == RANDOM)[:, None, None], random, base))
+        return ((centers - problem.lower) / self._side).flatten(1).clamp(0.0, 1.0)
+
+    def step(self) -> None:
+        if self._step in self._ends:
+            last = self._step == self.generations
+            self._climb = self._team.redeploy(self._climb, last)
+            self._problem = self._fine if last else self._problem
+            self._sharpness *= 2.0
+            self._renew = True
+        if self._renew or (self._step < self._ends[0] and self._step % REFRESH == 0):
+            self._climb.revalue()
+            self._renew = True
+        points = self._climb.ask()
+        placed = self._placed(points)
+        spectrum = self._problem.spectrum(self._problem.parameterization(placed))
+        objectives = torch.stack((spectrum.regularity, spectrum.potential), dim=1)
+        if self._renew:
+            self._exponents, self._renew = exponents(objectives[:, 0], self._sharpness), False
+        if self._exponents is None:
+            raise UserError("gradient: start it on a problem first")
+        log_regularity, slope = soft_regularity(spectrum, self._exponents)
+        values, in_regularity, in_potential = self._team.aim(log_regularity, spectrum.potential)
+        gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential)
+        gradient = self._problem.parameterization.pull(placed, gradient)
+        self._climb.tell(values, (gradient * self._side).flatten(1))
+        self._team.move(self._climb, points, objectives, self._climb.accepted)
+        self._step += 1
+
+    def state_dict(self) -> dict[str, Any]:
+        """Elements, team, generator, and how sharp the smooth R is."""
+        return {
+            "step": self._step,
+            "sharpness": self._sharpness,
+            "renew": self._renew,
+            "exponents": None if self._exponents is None else self._exponents.clone(),
+            "climb": self._climb.state_dict(),
+            "team": self._team.state_dict(),
+            "generator": self._generator.get_state(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue with those elements."""
+        self._step, self._sharpness, self._renew = int(state["step"]), float(state["sharpness"]), bool(state["renew"])
+        self._exponents = state["exponents"]
+        self._climb.load_state_dict(state["climb"])
+        self._team.load_state_dict(state["team"], self._climb)
+        self._generator.set_state(state["generator"].cpu())
+        if self._step > self.generations:  # the polish has begun
+            self._problem = self._fine
+
+    def _placed(self, points: Tensor) -> Tensor:
+        """Points [p, D] of the unit box as points [p, m, d] of the box."""
+        return self._problem.lower + self._side * points.unflatten(1, (self._problem.centers, -1))
+
+    def progress(self) -> list[tuple[float, Tensor]]:
+        return self._team.progress()
+
+    def rows(self) -> list[Rows]:
+        points, objectives, preference = self._team.found()
+        if not len(points):
+            return []
+        centers = self._problem.parameterization(self._placed(points))
+        return [Rows(self.name, centers, unscored(centers, objectives), preference)]

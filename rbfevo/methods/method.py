@@ -1,0 +1,222 @@
+"""What a method is to a run: it starts, takes one step after the other, and can say at any time what it has found."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import math
+import zlib
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.geometry.parameterization import Parameterization
+from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.evolvability import Scores
+from rbfevo.scoring.gradients import Spectrum
+from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.pareto import hypervolume
+
+
+class Rows(NamedTuple):
+    """Setups of one method with their scores: centers [p, m, d], scores [p], preference [p] (NaN where none)."""
+
+    method: str
+    centers: Tensor
+    scores: Scores
+    preference: Tensor
+
+
+class Record(NamedTuple):
+    """One line of the history; hypervolume with reference (0, 0), the best values so far are maximized."""
+
+    method: str
+    preference: float
+    generation: int
+    evaluations: int
+    seconds: float
+    hypervolume: float
+    best_regularity: float
+    best_improvement_potential: float
+    failed_evaluations: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Problem:
+    """What methods are given: searches use the scores, the box and starting centers; heuristics scenario and kernel.
+
+    Attributes:
+        evaluate: centers [*pop, m, d] -> Scores [*pop].
+        lower, upper: [d] corners of the box that is searched.
+        centers: m, centers a setup.
+        stream: name -> a generator that depends on the run's seed and that name alone.
+        preferences: those asked for, or None.
+        initial: the run's initial population, method `random`; empty if no method asked for one.
+        scenario, kernel: for heuristics.
+        spectrum: centers [p, m, d] -> singular values and P with gradients, for searches that climb.
+        coarsened: count -> the same problem on at most so many weighted vertices.
+        parameterization: what makes centers of genotypes.
+    """
+
+    evaluate: Callable[[Tensor], Scores]
+    lower: Tensor
+    upper: Tensor
+    centers: int
+    stream: Callable[[str], torch.Generator]
+    preferences: tuple[float, ...] | None
+    initial: Rows
+    scenario: Scenario
+    kernel: Kernel
+    spectrum: Callable[[Tensor], Spectrum]
+    coarsened: Callable[[int], Problem]
+    parameterization: Parameterization = dataclasses.field(default_factory=Parameterization)
+
+    @property
+    def flat_box(self) -> tuple[Tensor, Tensor]:
+        """Corners [D] of the box of flat genotypes, D = m d."""
+        return self.lower.repeat(self.centers), self.upper.repeat(self.centers)
+
+    def unflatten(self, genotypes: Tensor) -> Tensor:
+        """Genotypes [*pop, D] in the box -> centers [*pop, m, d]."""
+        return self.parameterization(genotypes.unflatten(-1, (self.centers, -1)))
+
+
+class Method(abc.ABC):
+    """One stage of a run. Settings are the constructor's; `start` binds it to a problem; `step` until `steps` are done.
+
+    Attributes:
+        name: as on the command line.
+        steps: generations of a search; 1 for a heuristic.
+        initial: setups of the run's initial population that the method starts from.
+        prefers: whether what it finds depends on the preferences asked for.
+    """
+
+    name: str
+    steps: int = 1
+    initial: int = 0
+    prefers: bool = False
+
+    def check(self, preferences: tuple[float, ...] | None) -> None:  # noqa: B027 - most have nothing to refuse
+        """Refuse settings that do not fit the preferences asked for.
+
+        Raises:
+            UserError: naming the setting and what it has to be.
+        """
+
+    @abc.abstractmethod
+    def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
+        """Evaluations that all steps together will take, the initial population apart."""
+
+    @abc.abstractmethod
+    def start(self, problem: Problem) -> None:
+        """Bind to a problem."""
+
+    @abc.abstractmethod
+    def step(self) -> None:
+        """Take one step."""
+
+    @abc.abstractmethod
+    def rows(self) -> list[Rows]:
+        """What has been found so far."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that steps change, as tensors, numbers and words, by name; copies, so that it stays as it is."""
+        raise NotImplementedError(f"{self.name} has no state to save between its steps")
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue, after `start` on the same problem, bit for bit where `state_dict` was taken.
+
+        Raises:
+            UserError: if the state does not fit the settings.
+        """
+        raise NotImplementedError(f"{self.name} has no state to continue from")
+
+    def fits(self, steps: int) -> bool:
+        """Whether a state that was taken under settings of `steps` steps is also one of these settings."""
+        return steps == self.steps
+
+    def progress(self) -> list[tuple[float, Tensor]]:
+        """For each preference (NaN where none) the objectives [p, 2] that the history's line is made of."""
+        return [(math.nan, rows.scores.objectives) for rows in self.rows()]
+
+    def records(self, generation: int, evaluations: int, seconds: float, failed: int) -> list[Record]:
+        """Lines of the history for the state after `generation` steps."""
+        progress = self.progress()
+        volume = hypervolume(torch.cat([points for _, points in progress])) if progress else 0.0
+        best = [points.amax(0).tolist() for _, points in progress]
+        return [
+            Record(self.name, preference, generation, evaluations, seconds, volume, regularity, potential, failed)
+            for (preference, _), (regularity, potential) in zip(progress, best, strict=True)
+        ]
+
+
+class Heuristic(Method):
+    """A method of one step that sees scenario and kernel and returns centers [p, m, d]."""
+
+    def __init__(self) -> None:
+        self._problem: Problem | None = None
+        self._rows: list[Rows] = []
+
+    def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
+        """One setup, unless a heuristic proposes more."""
+        return 1
+
+    @abc.abstractmethod
+    def place(self, problem: Problem) -> Tensor:
+        """Centers [p, m, d] of the setups that the heuristic proposes."""
+
+    def start(self, problem: Problem) -> None:
+        self._problem, self._rows = problem, []
+
+    def step(self) -> None:
+        if self._problem is None:
+            raise UserError(f"{self.name}: start it on a problem first")
+        centers = self.place(self._problem)
+        self._rows = [no_preference(self.name, centers, self._problem.evaluate(centers))]
+
+    def rows(self) -> list[Rows]:
+        return self._rows
+
+    def state_dict(self) -> dict[str, Any]:
+        """The rows."""
+        return {"rows": [rows_state(rows) for rows in self._rows]}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Take the rows."""
+        self._rows = [rows_of(saved) for saved in state["rows"]]
+
+
+def rows_state(rows: Rows) -> dict[str, Any]:
+    """Rows as tensors and words, by name."""
+    return {**rows._asdict(), "scores": rows.scores._asdict()}
+
+
+def rows_of(state: dict[str, Any]) -> Rows:
+    """Rows from `rows_state`."""
+    return Rows(**{**state, "scores": Scores(**state["scores"])})
+
+
+def no_preference(method: str, centers: Tensor, scores: Scores) -> Rows:
+    """Rows of setups that no preference belongs to."""
+    return Rows(method, centers, scores, torch.full_like(scores.regularity, math.nan))
+
+
+def at_least_one(setting: str, value: int) -> int:
+    """`value` if it is at least 1.
+
+    Raises:
+        UserError: naming the setting otherwise.
+    """
+    if value < 1:
+        raise UserError(f"{setting}={value}: at least 1 is needed")
+    return value
+
+
+def random_stream(seed: int, name: str) -> torch.Generator:
+    """A generator for one purpose of one run: streams of different names or seeds are independent."""
+    state = np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(2, np.uint32)
+    return torch.Generator().manual_seed(int(state[0]) << 31 ^ int(state[1]))

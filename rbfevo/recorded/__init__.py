@@ -1,0 +1,1 @@
+"""What run directories hold, read without torch: setups, picks, sweeps."""

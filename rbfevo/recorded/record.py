@@ -1,0 +1,192 @@
+"""What a run's files tell without torch: the arrays and the summary in its directory (DESIGN, section 5), checked.
+
+Figures, picks and fits read a run through this and nothing else of it, so that they work on any run at any time.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rbfevo.arrays import Array
+from rbfevo.errors import UserError
+
+SETUPS = ("centers", "regularity", "improvement_potential", "method", "preference", "nondominated")
+SCENARIO = ("vertices", "faces", "gradient", "weights", "lower", "upper")
+
+
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """A run as its files tell it (NumPy, float64): p setups of m centers in d dimensions, a mesh of n vertices.
+
+    Attributes:
+        centers: [p, m, d], model units.
+        regularity, improvement_potential: [p], NaN where a setup has no score.
+        method, preference, nondominated: [p]; preference is NaN where there is none.
+        vertices, faces, gradient, weights: [n, d], [f, 3], [n, k] of unit (weighted) norm, [n].
+        lower, upper: [d] corners of the box.
+        summary: summary.json.
+        stays: [n] bool, vertices that are to stay where they are; None if the run did not say.
+        variability: [p] rank(U)/n; None if the run did not say.
+    """
+
+    centers: Array
+    regularity: Array
+    improvement_potential: Array
+    method: Array
+    preference: Array
+    nondominated: Array
+    vertices: Array
+    faces: Array
+    gradient: Array
+    weights: Array
+    lower: Array
+    upper: Array
+    summary: dict[str, Any]
+    stays: Array | None = None
+    variability: Array | None = None
+
+    @property
+    def scored(self) -> Array:
+        """[p] True where both scores are finite."""
+        return np.isfinite(self.regularity) & np.isfinite(self.improvement_potential)
+
+    @property
+    def usable(self) -> Array:
+        """Indices of the setups with finite scores and finite centers."""
+        return np.flatnonzero(self.scored & np.isfinite(self.centers).all(axis=(1, 2)))
+
+    @property
+    def front(self) -> Array:
+        """Indices of the nondominated setups, by rising regularity, the better one first where it ties."""
+        members = np.flatnonzero(self.nondominated & self.scored)
+        return members[np.lexsort((-self.improvement_potential[members], self.regularity[members]))]
+
+    @property
+    def gradient_norm(self) -> float | None:
+        """The norm that the gradient had before it was scaled to 1, in model units.
+
+        None if the run did not say, or knows no more than a direction (a sensitivity).
+        """
+        norm = None if self.summary.get("gradient_is") == "direction" else self.summary.get("gradient_norm")
+        return float(norm) if isinstance(norm, int | float) and np.isfinite(norm) and norm > 0 else None
+
+    @property
+    def title(self) -> str:
+        """Scenario, kernel, support radius and manipulation in one line."""
+        say = self.summary.get
+        name = str(say("kernel", "unknown"))
+        kernel = f"{'Wendland' if name == 'wendland' else name} kernel"
+        if say("support") is not None:
+            kernel += f", support radius {say('support'):.4g}"
+        return f"{say('scenario', 'unknown')} · {kernel} · {say('manipulation', 'unknown')} manipulation"
+
+
+def read(run: Path) -> Record:
+    """Read setups.npz, scenario.npz and summary.json of the run directory `run`.
+
+    Raises:
+        UserError: if one of them is missing, unreadable, or does not fit the others.
+    """
+    if not run.is_dir():
+        raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
+    setups = _arrays(run / "setups.npz", SETUPS, ("variability",))
+    scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays",))
+    stays = scenario.pop("stays", None)
+    summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
+    p, n = len(setups["regularity"]), len(scenario["vertices"])
+    fitting = (
+        setups["centers"].ndim == 3
+        and all(len(array) == p for array in setups.values())
+        and setups["centers"].shape[2] == scenario["vertices"].shape[1]
+        and scenario["gradient"].ndim == 2
+        and all(len(scenario[key]) == n for key in ("gradient", "weights"))
+        and (stays is None or stays.shape == (n,))
+        and isinstance(summary, dict)
+    )
+    if not fitting:
+        raise UserError(f"{run}: setups.npz, scenario.npz and summary.json do not fit together")
+    setups["method"], setups["nondominated"] = setups["method"].astype(str), setups["nondominated"].astype(bool)
+    return Record(**setups, **scenario, summary=summary, stays=None if stays is None else stays.astype(bool))
+
+
+FIT = ("centers", "parameters", "deformed", "local_error", "moved_centers")
+
+
+@dataclasses.dataclass(frozen=True)
+class FitRecord:
+    """A fit as its files tell it (NumPy, float64), and the run that its setup comes from.
+
+    Attributes:
+        deformed: [n, 3] vertices of the deformed design; on a plane the height is the third coordinate.
+        local_error: [n] what is left at each vertex, model units; moved_centers: [m, 3].
+        errors: [generations + 1] errors of the mean, the start first; centers, parameters: [m, d], [m, k].
+        summary: fit.json.
+    """
+
+    run: Record
+    centers: Array
+    parameters: Array
+    deformed: Array
+    local_error: Array
+    moved_centers: Array
+    errors: Array
+    summary: dict[str, Any]
+
+
+def read_fit(directory: Path) -> FitRecord:
+    """Read fit.json, parameters.npz and history.csv of a fit, and the run directory that fit.json names.
+
+    Raises:
+        UserError: if one of them is missing, unreadable, or does not fit the others.
+    """
+    summary = _load(directory / "fit.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
+    arrays = _arrays(directory / "parameters.npz", FIT)
+    lines = _load(directory / "history.csv", lambda path: np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2))
+    if not isinstance(summary, dict) or not isinstance(summary.get("run"), str) or lines.shape[1] != 3:
+        raise UserError(f"{directory}: fit.json and history.csv are not those of a fit")
+    run = read((directory / summary["run"]).resolve())
+    n, m = len(run.vertices), len(arrays["centers"])
+    fitting = arrays["deformed"].shape == (n, 3) and len(arrays["local_error"]) == n
+    if not fitting or arrays["moved_centers"].shape != (m, 3):
+        raise UserError(f"{directory} does not fit the run {summary['run']} that it was made from")
+    return FitRecord(run=run, **arrays, errors=lines[:, 1], summary=summary)
+
+
+def knee(record: Record) -> int | None:
+    """Return the nondominated row farthest from the chord between the front's ends, the lowest of equals; None without.
+
+    It is the row of `rbfevo.scoring.pareto.knee`, told here without importing torch, which takes longer than a figure.
+    """
+    rows = np.flatnonzero(record.nondominated & record.scored)
+    if rows.size == 0:
+        return None
+    scores = np.stack([record.regularity[rows], record.improvement_potential[rows]], axis=1)
+    spread = np.ptp(scores, axis=0)
+    scaled = (scores - scores.min(axis=0)) / np.where(spread > 0, spread, 1.0)
+    distance = np.abs(scaled.sum(axis=1) - 1.0)  # times sqrt(2)
+    return int(rows[np.flatnonzero(distance >= distance.max() - 1e-12)[0]])
+
+
+def _arrays(path: Path, names: tuple[str, ...], if_there: tuple[str, ...] = ()) -> dict[str, Array]:
+    def load(path: Path) -> dict[str, Array]:
+        with np.load(path, allow_pickle=False) as archive:
+            return {name: archive[name] for name in (*names, *(name for name in if_there if name in archive))}
+
+    return _load(path, load)
+
+
+def _load(path: Path, load: Any) -> Any:
+    try:
+        return load(path)
+    except FileNotFoundError:
+        raise UserError(f"{path} is missing: is {path.parent} a finished run?") from None
+    except KeyError as error:
+        raise UserError(f"{path} cannot be used: {error.args[0]}") from None
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise UserError(f"{path} cannot be read: damaged? ({' '.join(str(error).split())})") from None

@@ -1,0 +1,272 @@
+"""One recorded setup as columns of U, in NumPy: what its centers do to any point of the same space.
+
+In a run with a symmetry plane every center c has a mirror image c', and the displacement of c' is the mirror image of
+that of c: a column is phi(|c - x|) + phi(|c' - x|) for the components of a displacement along the plane and
+phi(|c - x|) - phi(|c' - x|) for the component across it. A center on the plane is its own image; it cannot leave it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from rbfevo.arrays import Array
+from rbfevo.errors import UserError
+from rbfevo.recorded.record import Record
+
+BLOCK = 65_536  # rows at a time, or fewer where there are many centers
+CELLS = 2**22  # of a block of columns: 32 MB
+ON_PLANE = 1e-12  # of the box's diagonal: a center that close to the symmetry plane is on it
+EPS = float(np.finfo(float).eps)
+ROUNDING = 8 * EPS  # of the box's largest coordinate: the same far from the origin
+
+
+def wendland(r: Array, support: float) -> Array:
+    """Wendland C2, (1 - r/s)^4 (4 r/s + 1) for r < s, else 0; distances r of any shape."""
+    q = np.minimum(r / support, 1.0)
+    return (1.0 - q) ** 4 * (4.0 * q + 1.0)
+
+
+def triharmonic(r: Array, dimension: int) -> Array:
+    """What the paper calls triharmonic: r^2 log r in the plane, r^3 in space; distances r of any shape."""
+    return r**2 * np.log(np.where(r > 0, r, 1.0)) if dimension == 2 else r**3
+
+
+class Mirror(NamedTuple):
+    """The symmetry plane on which coordinate `axis` (0, 1 or 2) is `at`, in model units."""
+
+    axis: int
+    at: float
+
+    def image(self, points: Array) -> Array:
+        """Mirror images of points [..., d]."""
+        images = points.copy()
+        images[..., self.axis] = 2.0 * self.at - points[..., self.axis]
+        return images
+
+
+class Centers(NamedTuple):
+    """The centers that a deformation really has, q of them: those of the setup and, with a mirror, their images.
+
+    Attributes:
+        points: [q, d], model units; column: [q] which column of U each belongs to; mirrored: [q] True for an image.
+    """
+
+    points: Array
+    column: Array
+    mirrored: Array
+
+
+@dataclasses.dataclass(frozen=True)
+class Setup:
+    """One recorded setup of m centers in d dimensions (NumPy, float64, model units).
+
+    Attributes:
+        centers: [m, d]; a center on the symmetry plane is exactly on it.
+        kernel: `wendland` or `triharmonic`; support: its support radius, None for triharmonic.
+        manipulation: the run's, `indirect` or `direct`.
+        mirror: the symmetry plane, or None.
+        on_plane: [m] True for a center on the symmetry plane; all False without one.
+        row: the row of setups.npz; regularity, improvement_potential: its scores.
+    """
+
+    centers: Array
+    kernel: str
+    support: float | None
+    manipulation: str
+    mirror: Mirror | None
+    on_plane: Array
+    row: int
+    regularity: float
+    improvement_potential: float
+
+    @property
+    def off_plane(self) -> Array:
+        """Indices [m_off] of the centers off the symmetry plane; all of them without one."""
+        return np.flatnonzero(~self.on_plane)
+
+    def phi(self, r: Array) -> Array:
+        """The kernel at distances r of any shape."""
+        if self.support is not None:
+            return wendland(r, self.support)
+        return triharmonic(r, self.centers.shape[1])
+
+    def columns(self, points: Array, across: bool = False) -> Array:
+        """Phi [q, m] at points [q, d]: with a mirror the columns along its plane, or those across it."""
+        from scipy.spatial.distance import cdist  # takes a while: only once there is something to be worked out
+
+        plain = self.phi(cdist(points, self.centers))
+        if self.mirror is None:
+            return plain
+        images = self.phi(cdist(points, self.mirror.image(self.centers)))
+        return plain - images if across else plain + images
+
+    def psi(self, across: bool = False) -> Array:
+        """Psi [m, m], the columns at the centers; across the plane [m_off, m_off], of the centers off it."""
+        if not across or self.mirror is None:
+            return self.columns(self.centers)
+        return self.columns(self.centers[self.off_plane], across=True)[:, self.off_plane]
+
+    def singular(self, across: bool = False) -> bool:
+        """Whether Psi is numerically singular: condition number (1-norm) above 1/(m eps), as for the scores."""
+        psi = self.psi(across)
+        if psi.size == 0:
+            return False
+        try:
+            condition = np.linalg.norm(psi, 1) * np.linalg.norm(np.linalg.inv(psi), 1)
+        except np.linalg.LinAlgError:
+            return True
+        return not condition < 1.0 / (len(psi) * EPS)
+
+    def crosses(self, k: int) -> bool:
+        """Whether displacements with k components have one across a symmetry plane; heights (k = 1) have none."""
+        return self.mirror is not None and k > 1
+
+    def parities(self, k: int) -> Iterator[tuple[Array, bool, Array]]:
+        """Split k components of a displacement by their columns: components, across or not, indices of the columns."""
+        everything = np.arange(len(self.centers))
+        axis = self.mirror.axis if self.mirror is not None and k > 1 else -1
+        yield np.array([component for component in range(k) if component != axis], dtype=int), False, everything
+        if axis >= 0:
+            yield np.array([axis]), True, self.off_plane
+
+    def refuse_across(self, rows: Array, what: str) -> None:
+        """Raise UserError where a center on the symmetry plane is asked to leave it; rows [m, k]."""
+        if self.mirror is None or not self.crosses(rows.shape[1]):
+            return
+        wrong = np.flatnonzero(self.on_plane & (rows[:, self.mirror.axis] != 0))
+        if wrong.size:
+            axis = "xyz"[self.mirror.axis]
+            raise UserError(
+                f"center {wrong[0]} lies on the symmetry plane {axis} = {self.mirror.at:g} and cannot leave it: its "
+                f"{what} along {axis} must be 0, not {rows[wrong[0], self.mirror.axis]:g}"
+            )
+
+    def weights(self, displacements: Array) -> Array:
+        """RBF weights [m, k] that move the centers by these displacements [m, k], model units.
+
+        Raises:
+            UserError: if Psi is numerically singular, or a center is to leave the symmetry plane that it lies on.
+        """
+        self.refuse_across(displacements, "displacement")
+        weights = np.zeros(displacements.shape)
+        for components, across, columns in self.parities(displacements.shape[1]):
+            if self.singular(across):
+                raise UserError(
+                    "these centers cannot be moved one by one, since Psi is numerically singular (do two of them "
+                    "coincide?): choose another pick, or give RBF weights (--weights)"
+                )
+            if columns.size:
+                cells = np.ix_(columns, components)
+                weights[cells] = np.linalg.solve(self.psi(across), displacements[cells])
+        return weights
+
+    def displacement(self, points: Array, weights: Array, block: int = BLOCK) -> Array:
+        """Displacements [q, k] of points [q, d] under weights [m, k], a block of points at a time."""
+        moved, block = np.zeros((len(points), weights.shape[1])), self._rows(block)
+        for start in range(0, len(points), block):
+            rows = slice(start, start + block)
+            for components, across, _ in self.parities(weights.shape[1]):
+                moved[rows, components] = self.columns(points[rows], across) @ weights[:, components]
+        return moved
+
+    def fit(self, record: Record, block: int = BLOCK) -> Array:
+        """Weights [m, k] of the least-squares best approximation of the run's gradient, as it is, of unit norm.
+
+        Rows count with the square root of their weight. One pass over blocks of vertices keeps the triangular factor of
+        [Phi | g]; where columns depend on each other the weights are those of minimum norm.
+        """
+        (n, k), block = record.gradient.shape, self._rows(block)
+        weights = np.zeros((len(self.centers), k))
+        for components, across, columns in self.parities(k):
+            triangle = np.empty((0, len(columns) + len(components)))
+            for start in range(0, n, block):
+                rows = slice(start, start + block)
+                phi = self.columns(record.vertices[rows], across)[:, columns]
+                here = np.hstack([phi, record.gradient[rows][:, components]]) * np.sqrt(record.weights[rows, None])
+                triangle = np.asarray(np.linalg.qr(np.vstack([triangle, here]), mode="r"))
+            if columns.size:
+                left, right = triangle[:, : len(columns)], triangle[:, len(columns) :]
+                weights[np.ix_(columns, components)] = np.linalg.lstsq(left, right, rcond=max(n, len(columns)) * EPS)[0]
+        return weights
+
+    def best(self, record: Record, block: int = BLOCK) -> Array:
+        """Weights [m, k] of the least-squares best approximation of the wanted displacement g, in model units.
+
+        Without a recorded gradient norm the displacement is that of unit norm.
+        """
+        return self.fit(record, block) * (record.gradient_norm or 1.0)
+
+    def _rows(self, block: int) -> int:
+        return min(block, max(1024, CELLS // len(self.centers)))
+
+    def centers_and_images(self) -> Centers:
+        """All centers that the deformation really has; one on the symmetry plane stands there once."""
+        m = len(self.centers)
+        if self.mirror is None:
+            return Centers(self.centers, np.arange(m), np.zeros(m, dtype=bool))
+        off = self.off_plane
+        return Centers(
+            np.concatenate([self.centers, self.mirror.image(self.centers[off])]),
+            np.concatenate([np.arange(m), off]),
+            np.repeat([False, True], [m, len(off)]),
+        )
+
+    def with_images(self, rows: Array) -> Array:
+        """Rows [m, k] of displacements of the centers, followed by those of the images [q, k]."""
+        if self.mirror is None:
+            return rows
+        images = rows[self.off_plane].copy()
+        if self.crosses(rows.shape[1]):
+            images[:, self.mirror.axis] *= -1.0
+        return np.concatenate([rows, images])
+
+
+def setup(record: Record, row: int) -> Setup:
+    """Setup `row` of a run.
+
+    Raises:
+        UserError: if summary.json names a kernel or a symmetry that is not known here.
+    """
+    kernel, support = _kernel(record)
+    mirror, centers = _mirror(record), np.array(record.centers[row], dtype=np.float64)
+    on_plane = np.zeros(len(centers), dtype=bool)
+    if mirror is not None:
+        diagonal = float(np.linalg.norm(record.upper - record.lower))
+        farthest = float(np.abs([record.lower, record.upper]).max())
+        on_plane = np.abs(centers[:, mirror.axis] - mirror.at) <= max(ON_PLANE * diagonal, ROUNDING * farthest)
+        centers[on_plane, mirror.axis] = mirror.at
+    return Setup(
+        centers=centers,
+        kernel=kernel,
+        support=support,
+        manipulation=str(record.summary.get("manipulation", "indirect")),
+        mirror=mirror,
+        on_plane=on_plane,
+        row=int(row),
+        regularity=float(record.regularity[row]),
+        improvement_potential=float(record.improvement_potential[row]),
+    )
+
+
+def _kernel(record: Record) -> tuple[str, float | None]:
+    name, support = record.summary.get("kernel"), record.summary.get("support")
+    if name == "wendland" and isinstance(support, int | float) and 0 < support < float("inf"):
+        return name, float(support)
+    if name == "triharmonic":
+        return name, None
+    raise UserError(f"summary.json: what a setup does is not known for kernel={name} with support radius {support}")
+
+
+def _mirror(record: Record) -> Mirror | None:
+    told = record.summary.get("symmetry")
+    if told is None:
+        return None
+    axis, at = (told.get("axis"), told.get("at")) if isinstance(told, dict) else (None, None)
+    axes = ["x", "y", "z"][: record.vertices.shape[1]]
+    if axis not in axes or not isinstance(at, int | float) or not np.isfinite(at):
+        raise UserError(f"summary.json: symmetry={told} is not an axis ({', '.join(axes)}) and a number, at")
+    return Mirror(axes.index(axis), float(at))

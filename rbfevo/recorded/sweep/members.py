@@ -1,0 +1,150 @@
+"""The runs of a sweep: finding and reading them, their settings, and which of them share mesh and gradient."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
+from rbfevo.arrays import Array
+from rbfevo.errors import UserError
+from rbfevo.recorded.record import Record, read
+
+# How and where a run was carried out, which does not matter to what it finds.
+MATTERLESS = ("device", "evaluator", "experiment", "figures", "quiet", "manipulation.name")
+DIGITS = 2.0**-24  # of the largest number: smaller differences of two meshes are rounding
+
+
+class Member(NamedTuple):
+    """One run of a sweep: its path relative to the sweep's directory, its files, and its settings by dotted key."""
+
+    name: str
+    record: Record
+    settings: dict[str, Any]
+
+
+def find(directory: Path) -> list[Path]:
+    """Every run directory at or below `directory`, in natural order (2 before 10).
+
+    Links are followed, but to no directory twice and to none that holds `directory`; hidden directories and those
+    within a run are not looked into.
+    """
+    return [path for path, reason in _walk(directory, set()) if reason is None]
+
+
+def _walk(directory: Path, seen: set[Path]) -> Iterator[tuple[Path, str | None]]:
+    """Run directories, and those that look like one, with the reason why they are none."""
+    place = directory.resolve()
+    if place in seen or (seen and directory.is_symlink() and directory.parent.resolve().is_relative_to(place)):
+        return
+    seen.add(place)
+    try:
+        inside = {path.name: path.is_dir() for path in directory.iterdir()}
+        configured = (directory / ".hydra" / "config.yaml").is_file()
+    except OSError as error:
+        yield directory, f"cannot be looked into: {error.strerror or error}"
+        return
+    held = [name in inside for name in ("setups.npz", "summary.json")]
+    if all(held):
+        yield directory, None
+        return
+    if any(held) or configured:
+        yield directory, "left no results, or not all of them: failed, or still running"
+    for name in sorted(inside, key=natural):
+        if inside[name] and not name.startswith("."):
+            yield from _walk(directory / name, seen)
+
+
+def natural(text: str) -> tuple[list[str | int], str]:
+    """A key that sorts numbers within words by their size."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", text)], text
+
+
+def members(directory: Path) -> tuple[list[Member], list[str]]:
+    """All runs at or below `directory` that can be read, and a line for each that cannot, saying why.
+
+    Arrays of the mesh are shared by runs on the same one.
+
+    Raises:
+        UserError: if there is no such directory, no run below it, or none that can be read.
+    """
+    if not directory.is_dir():
+        raise UserError(f"{directory}: {'is a file, not a' if directory.exists() else 'there is no such'} directory")
+    found: list[Member] = []
+    unread: list[str] = []
+    meshes: dict[str, dict[str, Array]] = {}
+    for path, reason in _walk(directory, set()):
+        name = path.relative_to(directory).as_posix()
+        try:
+            if reason is not None:
+                raise UserError(reason)
+            record = read(path)
+            settings = _settings(record, path)
+        except UserError as error:
+            unread.append(f"{name}: {error}")
+            continue
+        names = ("vertices", "faces", "gradient", "weights")
+        mesh = meshes.setdefault(settings["mesh"], {key: getattr(record, key) for key in names})
+        found.append(Member(name, dataclasses.replace(record, **mesh), settings))
+    if not found:
+        why = f"no run can be read: {unread[0]}" if unread else "no run was found here or below"
+        raise UserError(f"{directory}: {why}")
+    return found, unread
+
+
+def _settings(record: Record, run: Path) -> dict[str, Any]:
+    """The settings of one run: from summary.json, and all else from .hydra/config.yaml where there is one."""
+    say = record.summary.get
+    settings = {key: say(key) for key in ("scenario", "kernel", "support", "manipulation", "method")}
+    settings |= {"centers": int(record.centers.shape[1]), "seed": say("seed"), "mesh": mesh_of(record)}
+    path = run / ".hydra" / "config.yaml"
+    if path.is_file():
+        try:
+            config = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+        except (OSError, ValueError, YAMLError, OmegaConfBaseException) as error:
+            raise UserError(f"{path} cannot be read: damaged? ({' '.join(str(error).split())})") from None
+        leaves = dict(_leaves(config)) if isinstance(config, dict) else {}
+        settings |= {key: leaf for key, leaf in leaves.items() if key not in settings and key not in MATTERLESS}
+    return settings
+
+
+def _leaves(node: dict[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """The leaves of a configuration by dotted key; lists and truth values as the command line has them."""
+    for key, value in node.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{prefix}{key}.")
+        elif key != "_target_":
+            yield f"{prefix}{key}", word(value) if isinstance(value, list | bool) else value
+
+
+def word(value: Any) -> str:
+    """A value as the command line has it."""
+    if isinstance(value, list):
+        return f"[{','.join(map(word, value))}]"
+    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
+        return str(int(value))  # 1.0 is no other setting than 1
+    return "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def mesh_of(record: Record) -> str:
+    """A fingerprint of vertices, faces, gradient and weights: eight hexadecimal digits, the same whatever the machine.
+
+    Numbers count to seven digits of the largest of their array, since a norm's last bits depend on the threads.
+    """
+    digest = hashlib.blake2b(digest_size=4)
+    for array in (record.vertices, record.gradient, record.weights):
+        largest = float(np.abs(array).max(initial=0.0))
+        digest.update(f"{array.shape} {largest:.6g} ".encode())
+        step = largest * DIGITS if 0 < largest < math.inf else 1.0
+        digest.update((np.round(array / step) + 0.0).astype("<f8").tobytes())  # + 0.0: there is one zero
+    digest.update(np.asarray(record.faces).astype("<i8").tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,259 @@
+"""A sweep in tidy tables: what each run found, medians and quartiles over seeds; settings that differ.
+
+Runs that differ in their seed alone are one group; what is told of a group are medians and quartiles (interpolated
+linearly, NumPy's default).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rbfevo.arrays import Array
+from rbfevo.files import csv_text
+from rbfevo.recorded.record import Record, knee
+from rbfevo.recorded.sweep.members import Member
+
+# What a run is about, in this order; `mesh` is the fingerprint of `mesh_of`, `support` the radius in model units.
+FIRST = ("scenario", "mesh", "kernel", "support", "manipulation", "method", "centers", "preference")
+ALWAYS = (*FIRST[:4], "kernel.support", *FIRST[4:7])  # columns of every table; the radius as it was given, too
+# What the fingerprint of mesh and gradient tells, whatever the files are called.
+TOLD_BY_MESH = tuple(
+    f"scenario.{key}"
+    for key in (
+        *("template", "patches", "target", "sensitivity", "sensitivity_kind", "sensitivity_match", "objective"),
+        *("target_scale", "reject", "weights"),
+        *("resolution", "subdivisions", "scan", "up", "front"),
+    )
+)
+TOLD_BY_SUPPORT = ("kernel.support", "scenario.support")
+QUANTITIES = (
+    *("hypervolume", "best_regularity", "best_improvement_potential", "knee_regularity", "knee_improvement_potential"),
+    *("evaluations", "seconds"),
+)
+ALL = "all"  # the series of all rows of a run
+
+
+class Line(NamedTuple):
+    """What one series of one run found: the rows of one method of setups.npz, or `all`.
+
+    Attributes:
+        settings: those of `ALWAYS` and those that vary in the sweep, of the whole run.
+        setups, nondominated: rows with finite centers and scores, those of them that no row of the run dominates.
+        hypervolume, ...: of this series' rows; NaN where there is none. evaluations, ...: of the whole run.
+    """
+
+    run: str
+    settings: dict[str, Any]
+    series: str
+    seed: int | None
+    setups: int
+    nondominated: int
+    hypervolume: float
+    best_regularity: float
+    best_improvement_potential: float
+    knee_regularity: float
+    knee_improvement_potential: float
+    evaluations: float
+    failed_evaluations: float
+    seconds: float
+    stop_reason: str
+
+
+class Spread(NamedTuple):
+    """The median and the first and third quartile of a quantity; NaN where no run has it."""
+
+    median: float
+    lower: float
+    upper: float
+
+
+class Group(NamedTuple):
+    """The same series of runs that differ in nothing but the seed.
+
+    Attributes:
+        settings: those of `ALWAYS` and those that vary in the sweep; varying: the keys of the latter.
+        vertices: of the mesh; setups: the largest number of setups a run has.
+        runs: names; seeds: how many different ones there are; spreads, values: of each
+            of `QUANTITIES`, over the runs and of each run.
+    """
+
+    settings: dict[str, Any]
+    varying: tuple[str, ...]
+    series: str
+    vertices: int
+    setups: int
+    runs: tuple[str, ...]
+    seeds: int
+    spreads: dict[str, Spread]
+    values: dict[str, tuple[float, ...]]
+
+
+def varying(members: Sequence[Member]) -> list[str]:
+    """The settings that differ among the members, but for the seed, and without those that follow from others.
+
+    A default that comes with the mesh, the kernel or the method follows from it (the support radius from the mesh and
+    the kernel, `method.generations` and the preferences from the method). Settings that merely happen to go together
+    are listed both: which of them matters is not known then.
+    """
+    left_out = ("seed", *TOLD_BY_MESH, *TOLD_BY_SUPPORT)
+    keys = dict.fromkeys([*FIRST, *(key for member in members for key in member.settings)])
+    listed: list[str] = []
+    for key in keys:
+        if key in left_out or len({member.settings.get(key) for member in members}) == 1:
+            continue
+        origins = [origin for origin in listed if origin in origins_of(key)]
+        values: dict[tuple[Any, ...], set[Any]] = {}
+        for member in members:
+            before = tuple(member.settings.get(origin) for origin in origins)
+            values.setdefault(before, set()).add(member.settings.get(key))
+        if not origins or any(len(several) > 1 for several in values.values()):
+            listed.append(key)
+    return listed
+
+
+def origins_of(key: str) -> tuple[str, ...]:
+    """The settings that bring `key` along."""
+    special = {"support": ("mesh", "kernel"), "preference": ("method",)}
+    group = key.split(".")[0]
+    return special.get(key, () if group == key else ("mesh",) if group == "scenario" else (group,))
+
+
+def lines(members: Sequence[Member]) -> list[Line]:
+    """The tidy table: a line for each run and series, `all` first."""
+    keys = _columns(members)
+    return [line for member in members for line in _lines(member, keys)]
+
+
+def _columns(members: Sequence[Member]) -> list[str]:
+    return list(dict.fromkeys([*ALWAYS, *varying(members)]))
+
+
+def _lines(member: Member, keys: Iterable[str]) -> Iterator[Line]:
+    record, say = member.record, member.record.summary.get
+    usable = record.usable
+    for series in (ALL, *dict.fromkeys(record.method.tolist())):
+        rows = usable if series == ALL else usable[record.method[usable] == series]
+        R, P = record.regularity[rows], record.improvement_potential[rows]
+        found = knee(_part(record, rows))
+        yield Line(
+            run=member.name,
+            settings={key: member.settings.get(key) for key in keys},
+            series=series,
+            seed=member.settings.get("seed"),
+            setups=len(rows),
+            nondominated=int(record.nondominated[rows].sum()),
+            hypervolume=hypervolume(R, P),
+            best_regularity=float(R.max()) if len(rows) else math.nan,
+            best_improvement_potential=float(P.max()) if len(rows) else math.nan,
+            knee_regularity=math.nan if found is None else float(R[found]),
+            knee_improvement_potential=math.nan if found is None else float(P[found]),
+            evaluations=_number(say("evaluations")),
+            failed_evaluations=_number(say("failed_evaluations")),
+            seconds=_number(say("seconds")),
+            stop_reason=str(say("stop_reason", "")),
+        )
+
+
+def _part(record: Record, rows: Array) -> Record:
+    """The record of some of the rows, with the front among themselves."""
+    names = ("centers", "regularity", "improvement_potential", "method", "preference")
+    arrays = {name: getattr(record, name)[rows] for name in names}
+    front = nondominated(arrays["regularity"], arrays["improvement_potential"])
+    return dataclasses.replace(record, **arrays, nondominated=front)
+
+
+def _number(value: Any) -> float:
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+
+
+def hypervolume(R: Array, P: Array) -> float:
+    """The area that rows [p] dominate above (0, 0), R and P maximized; rows that are not finite are left out."""
+    finite = np.isfinite(R) & np.isfinite(P)
+    levels, highest, _ = _staircase(np.maximum(R[finite], 0.0), np.maximum(P[finite], 0.0))
+    return float((np.diff(levels, prepend=0.0) * highest).sum())
+
+
+def nondominated(R: Array, P: Array) -> Array:
+    """Which of the rows [p], all finite, no other one dominates, R and P maximized; duplicates are treated alike."""
+    _, highest, level = _staircase(R, P)
+    beyond = np.append(highest[1:], -math.inf)  # the largest P of all with a larger R
+    return (highest[level] <= P) & (beyond[level] < P)
+
+
+def _staircase(R: Array, P: Array) -> tuple[Array, Array, Array]:
+    """The distinct R in rising order, the largest P of the rows with at least that R, and the rows' places there."""
+    levels, level = np.unique(R, return_inverse=True)
+    highest = np.full(len(levels), -math.inf)
+    np.maximum.at(highest, level, P)
+    return levels, np.maximum.accumulate(highest[::-1])[::-1], level
+
+
+def groups(members: Sequence[Member]) -> list[Group]:
+    """The lines whose settings and series are the same, all but the seed; in the order in which they first occur."""
+    keys, vary = _columns(members), tuple(varying(members))
+    gathered: dict[tuple[Any, ...], list[Line]] = {}
+    vertices: dict[str, int] = {}
+    for member in members:
+        vertices[member.name] = len(member.record.vertices)
+        for line in _lines(member, keys):
+            alike = (line.settings["mesh"], *(line.settings[key] for key in vary), line.series)
+            gathered.setdefault(alike, []).append(line)
+    return [
+        Group(
+            settings=found[0].settings,
+            varying=vary,
+            series=found[0].series,
+            vertices=vertices[found[0].run],
+            setups=max(line.setups for line in found),
+            runs=tuple(line.run for line in found),
+            seeds=len({line.seed for line in found}),
+            spreads={key: spread(getattr(line, key) for line in found) for key in QUANTITIES},
+            values={key: tuple(float(getattr(line, key)) for line in found) for key in QUANTITIES},
+        )
+        for found in gathered.values()
+    ]
+
+
+def spread(values: Iterable[float]) -> Spread:
+    """Median and quartiles of the values that are finite, interpolated linearly."""
+    finite = [value for value in values if math.isfinite(value)]
+    return Spread(*map(float, np.quantile(finite, [0.5, 0.25, 0.75]))) if finite else Spread(*[math.nan] * 3)
+
+
+def table_of_runs(lines: Sequence[Line]) -> bytes:
+    """runs.csv: `lines`, with a column for each setting."""
+    at = Line._fields.index("settings")
+    names = [*Line._fields[:at], *lines[0].settings, *Line._fields[at + 1 :]]
+    return csv_text(names, ((*line[:at], *line.settings.values(), *line[at + 1 :]) for line in lines))
+
+
+def table_of_medians(groups: Sequence[Group]) -> bytes:
+    """medians.csv: `groups`, with a column for each setting, and the median and both quartiles of each quantity."""
+    names = [*groups[0].settings, "series", "runs", "seeds"]
+    names += [f"{key}_{what}" for key in QUANTITIES for what in ("median", "q1", "q3")]
+    rows = []
+    for group in groups:
+        numbers = [number for key in QUANTITIES for number in group.spreads[key]]
+        rows.append([*group.settings.values(), group.series, len(group.runs), group.seeds, *numbers])
+    return csv_text(names, rows)
+
+
+def doubts(members: Sequence[Member]) -> list[str]:
+    """What makes a comparison less sure, a line each: runs that are there twice, runs that were stopped."""
+    keys = ["seed", "mesh", *varying(members)]
+    same: dict[tuple[Any, ...], list[str]] = {}
+    for member in members:
+        same.setdefault(tuple(member.settings.get(key) for key in keys), []).append(member.name)
+    told = [
+        f"{', '.join(names)}: the same settings and seed; each of them counts" for names in same.values() if names[1:]
+    ]
+    for member in members:
+        reason = str(member.record.summary.get("stop_reason", "budget"))
+        if reason.startswith("interrupted") or reason == "error":
+            told.append(f"{member.name}: stopped early ({reason}); it counts like the others")
+    return told

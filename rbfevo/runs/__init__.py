@@ -1,0 +1,1 @@
+"""One run: settings in, methods carried out, checkpoints, and the run directory out."""

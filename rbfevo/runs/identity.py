@@ -1,0 +1,65 @@
+"""Which run a checkpoint belongs to: a hash of the settings that count, and what has changed since it was written."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from rbfevo.errors import UserError
+from rbfevo.methods.method import Method
+from rbfevo.runs.checkpoint import digest, load
+from rbfevo.runs.config import Settings, build
+
+
+def checkpoint_for(settings: Settings, directory: Path) -> dict[str, Any] | None:
+    """The checkpoint that the run is to go on from; None if it was made before the search began.
+
+    Raises:
+        UserError: if there is none, or it is damaged, of other settings, or of a run that is done.
+    """
+    saved = load(directory)
+    progress = saved.get("progress")
+    if saved.get("settings") != identity(settings):
+        raise UserError(
+            f"{directory}: its checkpoint was made with other settings: only method.*generations, checkpoint.*, quiet "
+            "and device may change on the way"
+        )
+    if progress is None:
+        return None
+    budgets = [stage.steps for stage in stages_of(build(settings.method))]
+    if saved.get("finished") and budgets == progress["steps"]:
+        raise UserError(f"{directory} is done: there is nothing to resume (a larger method.generations lengthens it)")
+    return saved
+
+
+def changes_since(saved: dict[str, Any], facts: dict[str, Any]) -> list[str]:
+    """What is no longer as it was when the run was saved, and may change last digits."""
+    before, now = saved.get("versions") or {}, facts["versions"]
+    changed = [
+        f"{name} {before[name]} then, {now[name]} now" for name in now if before.get(name, now[name]) != now[name]
+    ]
+    return (
+        [f"resumed with {'; '.join(changed)}: last digits may differ from those of a run in one piece"]
+        if changed
+        else []
+    )
+
+
+def identity(settings: Settings, whole: bool = False) -> str:
+    """A hash of the settings that a result depends on; the numbers of generations count only if it is to be `whole`."""
+    plain = dataclasses.asdict(settings)
+    for free in ("device", "quiet", "figures", "checkpoint_every"):
+        del plain[free]
+    return digest(plain if whole else {**plain, "method": _without_generations(plain["method"])})
+
+
+def _without_generations(node: Any) -> Any:
+    if not isinstance(node, dict):
+        return node
+    return {key: _without_generations(value) for key, value in node.items() if key != "generations"}
+
+
+def stages_of(method: Any) -> list[Method]:
+    """The methods that are carried out one after the other."""
+    return getattr(method, "stages", [method])

@@ -1,0 +1,72 @@
+"""The run directory: each file is written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from rbfevo.files import csv_text, npz, write_whole
+from rbfevo.methods.method import Rows
+from rbfevo.runs.directory import RESULTS, refuse_results
+from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.pareto import nondominated
+
+__all__ = [
+    "RESULTS",
+    "csv_text",
+    "npz",
+    "refuse_results",
+    "setup_table",
+    "write_scenario",
+    "write_setups",
+    "write_summary",
+    "write_whole",
+]
+
+
+def setup_table(rows: Sequence[Rows]) -> dict[str, np.ndarray]:
+    """The arrays of `setups.npz`: all rows of all methods, `nondominated` among all of them."""
+    method = np.array([series.method for series in rows for _ in range(len(series.centers))], dtype=np.str_)
+
+    def joined(parts: Iterable[torch.Tensor]) -> np.ndarray:
+        return torch.cat(list(parts)).cpu().to(torch.float64).numpy()
+
+    objectives = torch.cat([series.scores.objectives for series in rows])
+    failed = torch.cat([series.scores.failed for series in rows])
+    return {
+        "centers": joined(series.centers for series in rows),
+        "regularity": joined(series.scores.regularity for series in rows),
+        "improvement_potential": joined(series.scores.improvement_potential for series in rows),
+        "variability": joined(series.scores.variability for series in rows),
+        "method": method,
+        "preference": joined(series.preference for series in rows),
+        "nondominated": (nondominated(objectives) & ~failed).cpu().numpy(),
+    }
+
+
+def write_setups(directory: Path, table: dict[str, np.ndarray]) -> None:
+    """Write `setups.npz` and, without the centers, `setups.csv`."""
+    write_whole(directory / "setups.npz", npz(table))
+    names = [name for name in table if name != "centers"]
+    write_whole(directory / "setups.csv", csv_text(names, zip(*(table[name].tolist() for name in names), strict=True)))
+
+
+def write_scenario(directory: Path, scenario: Scenario) -> None:
+    """Write `scenario.npz`: what the scores of the setups can be computed from."""
+    names = ("vertices", "faces", "gradient", "weights", "lower", "upper")
+    arrays = {name: getattr(scenario, name).cpu().numpy() for name in names}
+    if scenario.stays is not None:
+        arrays["stays"] = scenario.stays.cpu().numpy()
+    if scenario.rows is not None:
+        arrays["rows"] = scenario.rows.numpy()  # which points of the template's file the vertices are
+    write_whole(directory / "scenario.npz", npz(arrays))
+
+
+def write_summary(directory: Path, summary: dict[str, Any]) -> None:
+    """Write `summary.json`."""
+    write_whole(directory / "summary.json", (json.dumps(summary, indent=2, allow_nan=False) + "\n").encode())

@@ -1,0 +1,1 @@
+"""From setups to scores: kernels, the deformation, regularity, improvement potential, their gradients, and fronts."""

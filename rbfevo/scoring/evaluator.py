@@ -1,0 +1,278 @@
+"""The evaluator that methods use: centers of a whole population in, scores out, blocked over the vertices.
+
+One pass accumulates G = Phi^T Phi and b = Phi^T g. With G = L L^T, P = |L^-1 b|_F^2 (eq. 8), the singular values of Phi
+are those of L^T, those of Phi Psi^-1 are those of L^T Psi^-1 (eqs. 4 and 7). Forming G squares the condition number,
+so ill-conditioned setups get further passes (CholeskyQR2: Yamamoto et al. 2015; shifted where Cholesky fails: Fukaya et
+al. 2020), and those that stay numerically rank-deficient a blocked Householder QR, which is as good as the definition.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.scoring.deformation import RBFDeformation
+from rbfevo.scoring.evolvability import EPS, Scores, cutoff, score, singular
+from rbfevo.scoring.gradients import Spectrum
+from rbfevo.scoring.gram import GramAccumulator
+from rbfevo.scoring.images import Image
+from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.matrices import cholesky, left_singular, product, singular_values, solve, solve_lower
+from rbfevo.scoring.threads import coarse
+
+TRIGGER = 3e-5  # below this R(Phi), G has lost too many digits: eps / TRIGGER^2 is 2e-7
+QR_ROWS = 4096
+
+
+class Factors(NamedTuple):
+    """What one or more passes leave of setups [p, m, d]: with Phi = Q T^T, everything that scores are made of.
+
+    Attributes:
+        T: [p, m, m] lower triangular, T T^T = G; columns that no vertex feels have a diagonal of their own.
+        y: [p, m, k] T^-1 b; means nothing where `deficient`.
+        potential: [p] P, maximized; rank: [p].
+        usable: [p] finite setups with a finite G; deficient: [p] numerically rank-deficient ones.
+    """
+
+    T: Tensor
+    y: Tensor
+    potential: Tensor
+    rank: Tensor
+    usable: Tensor
+    deficient: Tensor
+
+
+class Singular(NamedTuple):
+    """What scores are made of: the extreme singular values of U and P, for setups [p]; means nothing if not `usable`.
+
+    Attributes:
+        largest, smallest: [p] singular values; lost: [p] where R is 0, since the rank is below m or Psi singular.
+        potential: [p] P, maximized; rank: [p]; usable: [p].
+    """
+
+    largest: Tensor
+    smallest: Tensor
+    lost: Tensor
+    potential: Tensor
+    rank: Tensor
+    usable: Tensor
+
+
+class Evaluator:
+    """Scores populations of setups of one design.
+
+    The vertices may lie on a GPU and the centers on the host: the passes over the vertices then run on the GPU, all
+    else on the host, which waits once a pass: the first, at most three more of ill-conditioned setups, and their QR.
+
+    Args:
+        vertices: [n, d] float64, model units.
+        gradient: g [n, k], of unit (weighted) Frobenius norm.
+        kernel: phi.
+        manipulation: `indirect` or `direct`.
+        weights: [n] positive, or None for ones.
+        backend: `auto`, `fused` or `eager`, see `GramAccumulator`.
+        block: vertices a block, or None.
+        image: what mirror images of the centers add to the columns of U (`rbfevo.scoring.symmetric` puts the
+            parts together).
+
+    Attributes:
+        evaluations: setups scored so far; failed_evaluations: those with non-finite centers or scores.
+        gradients: setups scored with a gradient (`rbfevo.scoring.gradients`), among the evaluations.
+        further_passes: setups that needed more than one pass; factorizations: those that needed QR.
+    """
+
+    def __init__(
+        self,
+        vertices: Tensor,
+        gradient: Tensor,
+        kernel: Kernel,
+        manipulation: str = "indirect",
+        weights: Tensor | None = None,
+        backend: str = "auto",
+        block: int | None = None,
+        image: Image | None = None,
+    ) -> None:
+        self.deformation = RBFDeformation(vertices, kernel, manipulation, image)
+        self.gradient = gradient
+        self.weights = torch.ones_like(vertices[:, 0]) if weights is None else weights
+        self.gram = GramAccumulator(vertices, gradient, self.weights, kernel, backend, block, image)
+        self.evaluations = self.failed_evaluations = self.gradients = self.further_passes = self.factorizations = 0
+
+    @property
+    def backend(self) -> str:
+        """What runs: `fused` or `eager`."""
+        return self.gram.backend
+
+    def definition(self, centers: Tensor) -> Scores:
+        """Scores [*pop] of centers [*pop, m, d] by the definition; the reference, slower by a factor of 50."""
+        device = self.deformation.vertices.device
+        scores = score(self.deformation, centers.to(device), self.gradient, self.weights)
+        return Scores(*(column.to(centers.device) for column in scores))
+
+    @torch.no_grad()
+    @coarse()
+    def __call__(self, centers: Tensor) -> Scores:
+        """Scores [*pop] of centers [*pop, m, d]; regularity, improvement potential and variability are maximized.
+
+        Never raises for what a setup's values are: non-finite ones fail and score 0, the others are untouched.
+
+        Raises:
+            UserError: if the shape does not fit the design.
+        """
+        n, d = self.deformation.vertices.shape
+        if centers.ndim < 2 or centers.shape[-1] != d or centers.shape[-2] < 1:
+            raise UserError(f"centers must have shape [*pop, m, {d}] with m >= 1, not {list(centers.shape)}")
+        m = centers.shape[-2]
+        if m > n:
+            raise UserError(f"{m} centers are more than the design's {n} vertices; use fewer centers")
+        setups = centers.reshape(-1, m, d).to(self.deformation.vertices.dtype)
+        finite = torch.isfinite(setups).all(-1).all(-1)
+        setups = torch.where(finite[:, None, None], setups, 0.0)
+        regularity, potential, rank = self._score(setups, finite)
+        failed = ~(finite & torch.isfinite(regularity) & torch.isfinite(potential))
+        zero = torch.zeros_like(regularity)
+        self.evaluations += len(setups)
+        self.failed_evaluations += int(failed.sum())
+        variability = rank.to(regularity.dtype) / n
+        columns = (torch.where(failed, zero, c) for c in (regularity, potential.clamp(0.0, 1.0), variability))
+        regularity, potential, variability = (c.reshape(centers.shape[:-2]) for c in columns)
+        return Scores(regularity, potential, variability, failed.reshape(centers.shape[:-2]))
+
+    def spectrum(self, centers: Tensor) -> Spectrum:
+        """Singular values of U and P of centers [p, m, d], ready for gradients."""
+        return Spectrum(self, centers)
+
+    def factors(self, setups: Tensor, finite: Tensor) -> Factors:
+        """Triangular factors of finite setups [p, m, d]; those that are not usable get an identity."""
+        m = setups.shape[1]
+        M = self.gram(setups)
+        usable = finite & torch.isfinite(M).flatten(1).all(1)
+        M = torch.where(usable[:, None, None], M, torch.eye(M.shape[-1], dtype=M.dtype, device=M.device))
+        G, b = M[:, :m, :m], M[:, :m, m:]
+        G, empty = decoupled(G)
+        L, sound = cholesky(G)
+        y = solve_lower(L, b)
+        potential = y.square().sum((1, 2))
+        rank = m - empty.sum(1)
+        deficient = torch.zeros_like(usable)
+        index = torch.nonzero(usable & ~(sound & (least_regularity(L) >= TRIGGER))).flatten()
+        if len(index):  # the bound is cheap and may be too low: singular values decide
+            sigma = singular_values(L[index])
+            index = index[~(sound[index] & (sigma[:, -1] >= TRIGGER * sigma[:, 0]))]
+        if len(index):
+            self.further_passes += len(index)
+            L[index], y[index], potential[index], rank[index], deficient[index] = self._refine(
+                setups[index], G[index], L[index], sound[index], empty[index]
+            )
+        return Factors(L, y, potential, rank, usable, deficient)
+
+    def _score(self, setups: Tensor, finite: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """R, P and rank [p] of setups [p, m, d]; NaN where a setup is not usable."""
+        largest, smallest, lost, potential, rank, usable = self.singular(setups, finite)
+        regularity = torch.where(lost, 0.0, smallest / largest)
+        regularity, potential = (torch.where(usable, c, torch.nan) for c in (regularity, potential))
+        index = torch.nonzero(finite & ~usable).flatten()
+        if len(index):  # G can overflow where Phi does not
+            exact = self.definition(setups[index])
+            regularity[index], potential[index] = (
+                torch.where(exact.failed, torch.nan, c) for c in (exact.regularity, exact.improvement_potential)
+            )
+            rank[index] = (exact.variability * self.deformation.vertices.shape[0]).round().to(rank.dtype)
+        return regularity, potential, rank
+
+    def singular(self, setups: Tensor, finite: Tensor) -> Singular:
+        """Extreme singular values of U, P and rank of finite setups [p, m, d]."""
+        L, _, potential, rank, usable, _ = self.factors(setups, finite)
+        lost = rank < setups.shape[1]
+        if self.deformation.manipulation == "direct":
+            L, _, undetermined = self.direct(setups, L)
+            lost |= undetermined
+        sigma = singular_values(L)
+        return Singular(sigma[:, 0], sigma[:, -1], lost, potential, rank, usable)
+
+    def direct(self, setups: Tensor, L: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Psi^-1 L [p, m, m], whose singular values are those of Phi Psi^-1, Psi^-1, and where Psi is singular [p].
+
+        Where it is, both matrices are the identity.
+        """
+        m = setups.shape[1]
+        Psi = self.deformation.psi(setups)
+        identity = torch.eye(m, dtype=Psi.dtype, device=Psi.device)
+        solution = solve(Psi, torch.cat((L, identity.expand_as(L)), dim=2))  # Psi = Psi^T
+        lost = singular(Psi, solution[:, :, m:]) | ~torch.isfinite(solution).flatten(1).all(1)
+        solution = torch.where(lost[:, None, None], torch.cat((identity, identity), dim=1), solution)
+        return solution[:, :, :m], solution[:, :, m:], lost
+
+    def _refine(
+        self, setups: Tensor, G: Tensor, L: Tensor, sound: Tensor, empty: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Triangular factor T, T^-1 b, P, rank and deficiency of ill-conditioned setups by CholeskyQR2, else by QR."""
+        (n, _), m = self.deformation.vertices.shape, setups.shape[1]
+        identity = torch.eye(m, dtype=G.dtype, device=G.device)
+        shift = 11.0 * (m * n + m * (m + 1)) * EPS * G.diagonal(dim1=1, dim2=2).sum(1)
+        shifted, _ = cholesky(G + shift[:, None, None] * identity)
+        T = torch.where(sound[:, None, None], L, shifted)
+        y = torch.zeros(len(T), m, self.gradient.shape[1], dtype=T.dtype, device=T.device)
+        rank = m - empty.sum(1)
+        pending = torch.arange(len(T), device=T.device)
+        lost: list[Tensor] = []
+        for _ in range(3):  # two suffice after an unshifted factor, three after a shifted one
+            M = self.gram(setups[pending], T[pending])
+            M = torch.where(torch.isfinite(M).flatten(1).all(1)[:, None, None], M, 0.0)
+            L2, sound = cholesky(M[:, :m, :m] + torch.diag_embed(empty[pending].to(M.dtype)))
+            sigma = singular_values(L2)
+            done = sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0])
+            T[pending] = torch.where(sound[:, None, None], product(T[pending], L2), T[pending])
+            y[pending] = solve_lower(L2, M[:, :m, m:])
+            lost.append(pending[~sound])
+            pending = pending[sound & ~done]
+            if not len(pending):
+                break
+        potential = y.square().sum((1, 2))
+        sigma = singular_values(T)
+        deficient = sigma[:, -1] <= cutoff(n, m) * sigma[:, 0]
+        deficient[torch.cat([*lost, pending])] = True
+        index = torch.nonzero(deficient).flatten()
+        if len(index):
+            self.factorizations += len(index)
+            found = self._factorize(setups[index].to(self.deformation.vertices.device))
+            T[index], potential[index], rank[index] = (part.to(T.device) for part in found)
+        return T, y, potential, rank, deficient
+
+    def _factorize(self, setups: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Triangular factor, P and rank by blocked Householder QR of (Phi g), as good as an SVD of Phi."""
+        vertices = self.deformation.vertices
+        (n, _), (p, m, _), k = vertices.shape, setups.shape, self.gradient.shape[1]
+        roots = self.weights.sqrt()[:, None]
+        R = torch.zeros(p, m + k, m + k, dtype=setups.dtype, device=setups.device)
+        for e in range(p):  # one at a time: a batch of QR runs no faster and needs p times the memory
+            for begin in range(0, n, QR_ROWS):
+                rows = slice(begin, begin + QR_ROWS)
+                Phi = self.deformation.columns(vertices[rows], setups[e])
+                block = roots[rows] * torch.cat((Phi, self.gradient[rows]), dim=1)
+                R[e] = torch.linalg.qr(torch.cat((R[e], block)), mode="r")[1]
+        left, sigma = left_singular(R[:, :m, :m])
+        kept = sigma > cutoff(n, m) * sigma[:, :1]
+        potential = torch.where(kept[:, :, None], product(left.mT, R[:, :m, m:]), 0.0).square().sum((1, 2))
+        return R[:, :m, :m].mT, potential, kept.sum(1)
+
+
+def decoupled(G: Tensor) -> tuple[Tensor, Tensor]:
+    """G [p, m, m] with the columns that no vertex feels [p, m] given a diagonal of their own, and which they are.
+
+    Such a column takes nothing from P and the rank of the others.
+    """
+    diagonal = G.diagonal(dim1=1, dim2=2)
+    largest = diagonal.amax(1, keepdim=True)
+    empty = diagonal == 0
+    return G + torch.diag_embed(torch.where(empty, largest.where(largest > 0, 1.0), 0.0)), empty
+
+
+def least_regularity(L: Tensor) -> Tensor:
+    """A lower bound [p] of sigma_min/sigma_max of triangular L [p, m, m], at most m too small: 1 / (|L| |L^-1|)."""
+    identity = torch.eye(L.shape[-1], dtype=L.dtype, device=L.device)
+    inverse = solve_lower(L, identity.expand_as(L))
+    return 1.0 / (L.flatten(1).norm(dim=1) * inverse.flatten(1).norm(dim=1))

@@ -1,0 +1,122 @@
+"""Singular values and improvement potential with closed-form gradients in the centers; blocks are recomputed.
+
+With Phi = Q T^T, y = Q^T g and U^T U = V diag(sigma^2) V^T, everything but two passes over the vertices is m x m:
+d log sigma_i = (Phi z_i)^T dPhi z_i / sigma_i^2 - v_i^T dPsi z_i with z_i = v_i (indirect) or Psi^-1 v_i (direct), and
+dP = 2 <(g - Phi w) w^T, dPhi> with w = T^-T y. Ill-conditioned setups use the factor of their further passes, so that
+gradients stay as accurate as the scores.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from rbfevo.scoring.deformation import RBFDeformation
+from rbfevo.scoring.kernels import distances
+from rbfevo.scoring.matrices import gram, left_singular, product, solve_lower
+from rbfevo.scoring.threads import coarse
+
+if TYPE_CHECKING:
+    from rbfevo.scoring.evaluator import Evaluator  # which makes these spectra
+
+
+class Spectrum:
+    """Singular values of U and improvement potential of setups, ready for gradients.
+
+    Attributes:
+        sigma: [p, m], falling; ones where a setup has no regularity (rank below m, singular Psi, not finite).
+        regular: [p] whether it has one; potential: [p] P, maximized, 0 where a setup is not finite.
+        improvable: [p] whether P has a gradient (the setup is finite and not numerically rank-deficient).
+    """
+
+    @torch.no_grad()
+    @coarse()
+    def __init__(self, evaluator: Evaluator, centers: Tensor) -> None:
+        """Take centers [p, m, d]; any values."""
+        finite = torch.isfinite(centers).flatten(1).all(1)
+        self.evaluator = evaluator
+        self.centers = torch.where(finite[:, None, None], centers.detach(), 0.0)
+        T, self._y, potential, rank, usable, deficient = evaluator.factors(self.centers, finite)
+        m = centers.shape[1]
+        evaluator.evaluations += len(centers)
+        evaluator.failed_evaluations += int((~usable).sum())
+        self._T, self._inverse = T, None
+        self.improvable = usable & ~deficient
+        self.potential = torch.where(usable, potential.clamp(0.0, 1.0), 0.0)
+        self.regular = self.improvable & (rank == m)
+        if evaluator.deformation.manipulation == "direct":
+            T, self._inverse, lost = evaluator.direct(self.centers, T)
+            self.regular &= ~lost
+        identity = torch.eye(m, dtype=T.dtype, device=T.device)
+        self._V, self.sigma = left_singular(torch.where(self.regular[:, None, None], T, identity))
+
+    @property
+    def regularity(self) -> Tensor:
+        """R [p], maximized; 0 where there is none."""
+        return torch.where(self.regular, self.sigma[:, -1] / self.sigma[:, 0], 0.0)
+
+    @torch.no_grad()
+    @coarse()
+    def backward(self, dlog_sigma: Tensor, dpotential: Tensor) -> Tensor:
+        """Gradient [p, m, d] in the centers of a function with gradients [p, m] in log sigma and [p] in P.
+
+        Finite for every setup; 0 where the setup has no regularity or is not improvable.
+        """
+        m, k = self.centers.shape[1], self._y.shape[2]
+        self.evaluator.gradients += len(self.centers)
+        dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
+        dpotential = torch.where(self.improvable, dpotential, 0.0)[:, None, None]
+        w = solve_lower(self._T, self._y, transposed=True)
+        Z = self._V if self._inverse is None else product(self._inverse, self._V)
+        dM = torch.zeros(len(Z), m + k, m + k, dtype=Z.dtype, device=Z.device)
+        scaled = 0.5 * Z * (dlog_sigma / self.sigma.square())[:, None, :]
+        dM[:, :m, :m] = product(scaled, Z.mT) - dpotential * gram(w)
+        dM[:, :m, m:] = 2.0 * dpotential * w
+        gradient = self.evaluator.gram.backward(self.centers, dM)
+        if self._inverse is not None:
+            dPsi = -product(self._V * dlog_sigma[:, None, :], Z.mT)
+            gradient += _psi_backward(self.evaluator.deformation, self.centers, dPsi + dPsi.mT)
+        return torch.where(torch.isfinite(gradient).flatten(1).all(1)[:, None, None], gradient, 0.0)
+
+
+def _psi_backward(deformation: RBFDeformation, C: Tensor, S: Tensor) -> Tensor:
+    """Gradient [p, m, d] in the centers C [p, m, d] of a function of Psi whose gradient, plus its transpose, is S."""
+    H = S * deformation.kernel.slope(distances(C, C))
+    gradient = H.sum(2, keepdim=True) * C - product(H, C)
+    if deformation.image is not None:  # |c_j' - c_i| = |c_j - c_i'|: both centers of an entry are pulled alike
+        mirror, sign = deformation.image
+        images = mirror.image(C)
+        H = sign * S * deformation.kernel.slope(distances(C, images))
+        gradient += H.sum(2, keepdim=True) * C - product(H, images)
+    return gradient
+
+
+class _Scores(torch.autograd.Function):
+    """R and P [p] of centers [p, m, d]."""
+
+    @staticmethod
+    def forward(ctx: Any, centers: Tensor, evaluator: Evaluator) -> tuple[Tensor, Tensor]:
+        ctx.spectrum = evaluator.spectrum(centers)
+        return ctx.spectrum.regularity, ctx.spectrum.potential
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        spectrum: Spectrum = ctx.spectrum
+        sigma, slope = spectrum.sigma, (grads[0] * spectrum.regularity)[:, None]
+        dlog_sigma = torch.zeros_like(sigma)
+        dlog_sigma.scatter_add_(1, sigma.argmin(1, keepdim=True), slope)  # sigma may come in no order
+        dlog_sigma.scatter_add_(1, sigma.argmax(1, keepdim=True), -slope)
+        return spectrum.backward(dlog_sigma, grads[1]), None
+
+
+def differentiable_scores(evaluator: Evaluator, centers: Tensor) -> tuple[Tensor, Tensor]:
+    """Regularity and improvement potential [*pop] of centers [*pop, m, d], both maximized and differentiable in them.
+
+    The values are the evaluator's. A setup has value 0 and gradient 0 where a score does not exist (not finite, no
+    regularity), and no gradient of P where it is numerically rank-deficient. Where sigma_min or sigma_max is multiple,
+    R has no gradient; one of its generalized gradients is returned (`Spectrum` allows smooth functions of all sigma).
+    """
+    regularity, potential = _Scores.apply(centers.reshape(-1, *centers.shape[-2:]), evaluator)
+    return regularity.reshape(centers.shape[:-2]), potential.reshape(centers.shape[:-2])

@@ -1,0 +1,235 @@
+"""Gram matrices of Phi for a population, accumulated over blocks of vertices without ever storing Phi."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import itertools
+import types
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from rbfevo.choices import EVALUATORS, refuse_others
+from rbfevo.errors import UserError
+from rbfevo.geometry.blocks import VertexBlocks, vertex_blocks
+from rbfevo.scoring import matrices
+from rbfevo.scoring.images import Image, values
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
+from rbfevo.scoring.matrices import product, solve_lower
+from rbfevo.scoring.threads import coarse, run_in_slices
+
+FUSED_BLOCK = 1024  # m = 25 rows of 1024 float64 are 200 KiB: half of a usual second-level cache
+EAGER_BLOCK = {"cpu": 1024, "cuda": 8192}
+EAGER_BYTES = 1 << 18  # of one temporary of an eager step on the CPU: in cache
+GPU_SHARE = 16  # one temporary of an eager step takes at most one in so many parts of a GPU's free memory
+
+
+@functools.cache
+def _fused() -> types.ModuleType | None:
+    """The numba kernels, or None where numba is missing or cannot be used (no place for its cache, say)."""
+    try:
+        return importlib.import_module("rbfevo.scoring.fused")
+    except (ImportError, RuntimeError, OSError):
+        return None
+
+
+class GramAccumulator:
+    """Walks over the vertices of one design and accumulates M = (Q g)^T (Q g) for every setup of a population.
+
+    With Q = Phi, M [*pop, m+k, m+k] holds G = Phi^T Phi [m, m], b = Phi^T g [m, k] and g^T g [k, k]. With a lower
+    triangular factor T [*pop, m, m], Q = Phi T^-T, as the further passes of CholeskyQR need it.
+
+    Args:
+        vertices: [n, d]; gradient: [n, k]; weights: [n] (rows of Phi and g count with sqrt(weights)).
+        kernel: phi.
+        backend: `fused` (numba, CPU), `eager` (plain torch, any device), or `auto`: fused where it can run.
+        block: vertices a block, or None for the backend's own choice.
+        image: what mirror images of the centers add to the columns of Phi, or None.
+
+    Raises:
+        UserError: for an unknown backend, or where `fused` is asked for and cannot run.
+    """
+
+    def __init__(
+        self,
+        vertices: Tensor,
+        gradient: Tensor,
+        weights: Tensor,
+        kernel: Kernel,
+        backend: str = "auto",
+        block: int | None = None,
+        image: Image | None = None,
+    ) -> None:
+        refuse_others("evaluator", backend, EVALUATORS)
+        code = _fused_code(vertices, kernel)
+        possible = code is not None
+        if backend == "fused" and not possible:
+            raise UserError("evaluator=fused needs numba, the CPU and float64; use evaluator=eager")
+        self.backend = "fused" if possible and backend != "eager" else "eager"
+        self.kernel = kernel
+        self.image = image
+        self.code = -1 if code is None else code
+        device = vertices.device
+        self.size = block or (FUSED_BLOCK if self.backend == "fused" else EAGER_BLOCK.get(device.type, 1024))
+        self._bytes = torch.cuda.mem_get_info(device)[0] // GPU_SHARE if device.type == "cuda" else EAGER_BYTES
+        self.blocks: VertexBlocks = vertex_blocks(vertices, gradient, weights, self.size)
+        with coarse():
+            gg = self.blocks.g @ self.blocks.g.T
+        self._gg = (gg + gg.T) / 2.0  # to the bit: some processors round the two halves differently
+
+    def __call__(self, centers: Tensor, factor: Tensor | None = None) -> Tensor:
+        """M [p, m+k, m+k] for finite centers [p, m, d] and, if given, factors T [p, m, m].
+
+        The centers may be on the host while the vertices are on a GPU: then M comes back to the host, which is the only
+        time that the host waits for the GPU.
+        """
+        run = self._run_fused if self.backend == "fused" else self._run_eager
+        device = self.blocks.X.device
+        M = run(centers.detach().contiguous().to(device), None if factor is None else factor.to(device))
+        return M.to(centers.device)
+
+    def backward(self, centers: Tensor, dM: Tensor) -> Tensor:
+        """Gradient [p, m, d] in the centers of a function of M [p, m+k, m+k] with gradient `dM`, blocks recomputed.
+
+        dPhi = Phi (dG + dG^T) + g db^T; dc_j = sum_i dPhi_ij phi'(r_ij)/r_ij (c_j - x_i).
+        """
+        m = centers.shape[1]
+        S = dM + dM.mT
+        run = self._backward_fused if self.backend == "fused" else self._backward_eager
+        device = self.blocks.X.device
+        pieces = (centers.detach(), S[:, :m, :m], S[:, :m, m:])
+        return run(*(piece.contiguous().to(device) for piece in pieces)).to(centers.device)
+
+    def _backward_fused(self, centers: Tensor, dG: Tensor, db: Tensor) -> Tensor:
+        fused = _fused()
+        if fused is None:
+            raise UserError("evaluator=fused needs numba")
+        out = torch.empty_like(centers)
+        b = self.blocks
+        fixed = (b.X.numpy(), b.W.numpy(), b.g.numpy(), b.starts.numpy(), b.low.numpy(), b.high.numpy())
+        images, sign, axis = self._images(centers)
+        arrays = [array.detach().numpy() for array in (centers, images, dG, db, out)]
+
+        def work(begin: int, end: int) -> None:
+            C, mirrored, left, right, into = (array[begin:end] for array in arrays)
+            support = self.kernel.support or 0.0
+            fused.gram_backward(C, mirrored, sign, axis, *fixed, self.code, support, left, right, into)
+
+        run_in_slices(work, len(centers))
+        return out
+
+    def _backward_eager(self, centers: Tensor, dG: Tensor, db: Tensor) -> Tensor:
+        out = torch.zeros_like(centers)
+
+        def work(first: int, last: int) -> None:
+            for chunk in self._chunks(centers, first, last):
+                C = centers[chunk]
+                for X, W, g in self._pieces:
+                    r = distances(C, X.T)
+                    rows = self.kernel(r) if self.image is None else values(self.kernel, C, X.T, self.image)
+                    H = product(dG[chunk], rows * W) + product(db[chunk], g)
+                    pull = H * self.kernel.slope(r) * W
+                    out[chunk] += pull.sum(2, keepdim=True) * C - product(pull, X.T)
+                    if self.image is not None:
+                        mirrored = self.image.mirror.image(C)
+                        pull = H * self.kernel.slope(distances(mirrored, X.T)) * W
+                        through = self.image.sign * (pull.sum(2, keepdim=True) * mirrored - product(pull, X.T))
+                        through[..., self.image.mirror.axis].neg_()
+                        out[chunk] += through
+
+        self._in_slices(work, len(centers), centers)
+        return out
+
+    def _run_fused(self, centers: Tensor, factor: Tensor | None) -> Tensor:
+        fused = _fused()
+        if fused is None:
+            raise UserError("evaluator=fused needs numba")
+        p, m, _ = centers.shape
+        k = self.blocks.g.shape[0]
+        M = torch.empty(p, m + k, m + k, dtype=centers.dtype)
+        images, sign, _ = self._images(centers)
+        C, mirrored, out = centers.detach().numpy(), images.detach().numpy(), M.numpy()
+        T = torch.empty(0, m, m, dtype=centers.dtype).numpy() if factor is None else factor.contiguous().numpy()
+        b = self.blocks
+        fixed = (b.X.numpy(), b.W.numpy(), b.g.numpy(), b.starts.numpy(), b.low.numpy(), b.high.numpy())
+        support = self.kernel.support or 0.0
+
+        def work(begin: int, end: int) -> None:
+            part = T if factor is None else T[begin:end]
+            fused.gram(C[begin:end], mirrored[begin:end], sign, *fixed, self.code, support, part, out[begin:end])
+
+        run_in_slices(work, p)
+        M[:, m:, m:] = self._gg  # the kernel skips blocks that no center reaches
+        return M
+
+    def _run_eager(self, centers: Tensor, factor: Tensor | None) -> Tensor:
+        p, m, _ = centers.shape
+        k = self.blocks.g.shape[0]
+        M = torch.zeros(p, m + k, m + k, dtype=centers.dtype, device=centers.device)
+
+        def work(first: int, last: int) -> None:
+            for chunk in self._chunks(centers, first, last):
+                for X, W, g in self._pieces:
+                    rows = values(self.kernel, centers[chunk], X.T, self.image) * W
+                    if factor is not None:
+                        rows = solve_lower(factor[chunk], rows)
+                    rows = torch.cat((rows, g.expand(len(rows), -1, -1)), dim=1)
+                    M[chunk] += matrices.gram(rows)
+
+        self._in_slices(work, p, centers)
+        return M
+
+    @functools.cached_property
+    def _pieces(self) -> list[tuple[Tensor, Tensor, Tensor]]:
+        """X [d, size], W [size] and g [k, size] of each block, for the eager steps."""
+        b = self.blocks
+        cuts = itertools.pairwise(b.starts.tolist())
+        return [(b.X[:, begin:end], b.W[begin:end], b.g[:, begin:end]) for begin, end in cuts]
+
+    def _images(self, centers: Tensor) -> tuple[Tensor, float, int]:
+        """Mirror images of the centers, their sign, and the axis; the centers themselves and 0 where there are none."""
+        if self.image is None:
+            return centers, 0.0, 0
+        return self.image.mirror.image(centers), self.image.sign, self.image.mirror.axis
+
+    def _chunks(self, centers: Tensor, first: int, last: int) -> list[slice]:
+        """Slices of the population from first to last whose rows over one block fit an eager step's memory."""
+        size = 8 * (centers.shape[1] + self.blocks.g.shape[0]) * self.size
+        step = max(1, self._bytes // size)
+        return [slice(begin, min(begin + step, last)) for begin in range(first, last, step)]
+
+    @staticmethod
+    def _in_slices(work: Callable[[int, int], None], count: int, centers: Tensor) -> None:
+        if centers.is_cuda:
+            work(0, count)
+        else:
+            run_in_slices(work, count)
+
+
+def kernel_columns(vertices: Tensor, kernel: Kernel) -> Callable[[Tensor], Tensor]:
+    """The map from centers [c, d] to their columns phi(|c_j - x_i|) [n, c], by the fastest means there is.
+
+    It runs on the calling thread alone: several threads may call it at once.
+    """
+    code = _fused_code(vertices, kernel)
+    fused = _fused()
+    if code is None or fused is None:
+        return lambda centers: kernel(distances(vertices, centers))
+    X = vertices.T.contiguous().numpy()
+    support = kernel.support or 0.0
+
+    def columns(centers: Tensor) -> Tensor:
+        out = torch.empty(len(centers), len(vertices), dtype=vertices.dtype)
+        fused.columns(centers.contiguous().numpy(), X, code, support, out.numpy())
+        return out.T
+
+    return columns
+
+
+def _fused_code(vertices: Tensor, kernel: Kernel) -> int | None:
+    """The number of the kernel in `rbfevo.scoring.fused`, or None where that cannot run on these vertices."""
+    fits = vertices.device.type == "cpu" and vertices.dtype == torch.float64 and vertices.shape[1] in (2, 3)
+    code = {Wendland: 0, ThinPlate: 1, Cubic: 2}.get(type(kernel))
+    return code if fits and _fused() is not None else None

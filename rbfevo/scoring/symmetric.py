@@ -1,0 +1,216 @@
+"""Scores of symmetric setups: U is one block for components along the plane, and one for the component across it.
+
+Along the plane column c is phi_c + phi_c', across it phi_c - phi_c' (`rbfevo.geometry.mirror`), where a center on the
+plane has no column. The parameters of the m columns move nothing but their own component, so that U is block diagonal:
+R is the smallest singular value of both blocks over the largest of both, and P adds up what each block reaches of its
+own components of g. V is that of the block along the plane, m/n at best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.geometry.mirror import Mirror
+from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.deformation import RBFDeformation
+from rbfevo.scoring.evaluator import Evaluator, Singular
+from rbfevo.scoring.evolvability import Scores, projection, singular
+from rbfevo.scoring.gradients import Spectrum
+from rbfevo.scoring.images import Image
+from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.threads import coarse, run_in_slices
+
+
+class MirroredEvaluator(Evaluator):
+    """`Evaluator` of a design that stays symmetric: m centers on one side stand for themselves and their images.
+
+    Args:
+        mirror: the plane; the others are those of `Evaluator`, with g [n, d] in space.
+
+    Raises:
+        UserError: if g has not one component for every axis, so that it has none across the plane.
+    """
+
+    def __init__(
+        self,
+        vertices: Tensor,
+        gradient: Tensor,
+        kernel: Kernel,
+        manipulation: str = "indirect",
+        weights: Tensor | None = None,
+        backend: str = "auto",
+        block: int | None = None,
+        *,
+        mirror: Mirror,
+    ) -> None:
+        if gradient.shape[1] != vertices.shape[1]:
+            raise UserError("symmetry needs a wanted displacement with a component along every axis")
+        self.mirror = mirror
+        self.gradient = gradient
+        self.weights = torch.ones_like(vertices[:, 0]) if weights is None else weights
+        across = [mirror.axis]
+        along = [axis for axis in range(vertices.shape[1]) if axis != mirror.axis]
+        self.along, self.across = (
+            Evaluator(vertices, gradient[:, axes], kernel, manipulation, weights, backend, block, Image(mirror, sign))
+            for axes, sign in ((along, 1.0), (across, -1.0))
+        )
+        self.deformation = self.along.deformation
+        self.gram = self.along.gram
+        self.evaluations = self.failed_evaluations = self.gradients = 0
+
+    @property
+    def further_passes(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Of both blocks."""
+        return self.along.further_passes + self.across.further_passes
+
+    @property
+    def factorizations(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Of both blocks."""
+        return self.along.factorizations + self.across.factorizations
+
+    def definition(self, centers: Tensor) -> Scores:
+        """Scores [*pop] of centers [*pop, m, d] by the definition; the reference, one setup at a time."""
+        flat = centers.detach().reshape(-1, *centers.shape[-2:]).to(self.deformation.vertices.device)
+        columns = torch.zeros(4, len(flat), dtype=centers.dtype, device=flat.device)
+
+        def work(begin: int, end: int) -> None:
+            for i in range(begin, end):
+                columns[:, i] = self._define(flat[i])
+
+        run_in_slices(work, len(flat))
+        regularity, potential, variability, failed = columns.to(centers.device).reshape(4, *centers.shape[:-2])
+        return Scores(regularity, potential, variability, failed > 0)
+
+    def _define(self, setup: Tensor) -> Tensor:
+        failure = setup.new_tensor([0.0, 0.0, 0.0, 1.0])
+        if not bool(torch.isfinite(setup).all()):
+            return failure
+        setup = self.mirror.snapped(setup)
+        free = setup[~self.mirror.on_plane(setup)]
+        rank, rest, lost, sigmas = 0, 0.0, False, []
+        for part, centers in ((self.along, setup), (self.across, free)):
+            roots = self.weights.sqrt()[:, None]
+            if not len(centers):
+                rest = rest + (roots * part.gradient).square().sum()
+                continue
+            Phi = part.deformation.phi(centers)
+            if not bool(torch.isfinite(Phi).all()):
+                return failure
+            sigma, kept, left = projection(Phi, part.gradient, self.weights)
+            rest, lost = rest + left, lost or not bool(kept.all())
+            rank = int(kept.sum()) if part is self.along else rank
+            if self.deformation.manipulation == "direct" and not lost:
+                sigma, undetermined = _direct_values(part.deformation, centers, Phi, roots)
+                lost = lost or undetermined
+            sigmas.append(sigma)
+        every = torch.cat(sigmas)
+        regularity = 0.0 if lost or not bool(every.amax() > 0) else float(every.amin() / every.amax())
+        scores = setup.new_tensor([regularity, min(max(1.0 - float(rest), 0.0), 1.0), rank / len(self.weights), 0.0])
+        return scores if bool(torch.isfinite(scores).all()) else failure
+
+    def spectrum(self, centers: Tensor) -> MirroredSpectrum:
+        """Singular values and P of both blocks of centers [p, m, d], ready for gradients."""
+        return MirroredSpectrum(self, centers)
+
+    def singular(self, setups: Tensor, finite: Tensor) -> Singular:
+        """Extreme singular values of both blocks, the sum of their P, and the rank of the block along the plane."""
+        setups = self.mirror.snapped(setups)
+        largest, smallest, lost, potential, rank, usable = self.along.singular(setups, finite)
+        for rows, centers in self.off_plane(setups):
+            part = self.across.singular(centers, finite[rows])
+            largest[rows] = torch.maximum(largest[rows], part.largest)
+            smallest[rows] = torch.minimum(smallest[rows], part.smallest)
+            lost[rows] |= part.lost
+            potential[rows] += torch.where(part.usable, part.potential, 0.0)
+            usable[rows] &= part.usable
+        return Singular(largest, smallest, lost, potential, rank, usable)
+
+    def off_plane(self, setups: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
+        """The setups [p, m, d] that have centers off the plane, in groups of equally many: rows [q], centers [q, f, d].
+
+        The f centers keep their order.
+        """
+        off = ~self.mirror.on_plane(setups)
+        for count in off.sum(1).unique().tolist():
+            if count:
+                rows = torch.nonzero(off.sum(1) == count).flatten()
+                yield rows, setups[rows][off[rows]].unflatten(0, (len(rows), count))
+
+
+class MirroredSpectrum(Spectrum):
+    """`Spectrum` of both blocks.
+
+    Attributes:
+        sigma: [p, 2m], in no order: those along the plane, and those across it. A setup with fewer of these has some
+            in their place that lie between its extremes.
+    """
+
+    @torch.no_grad()
+    @coarse()
+    def __init__(self, evaluator: MirroredEvaluator, centers: Tensor) -> None:
+        """Take centers [p, m, d]; any values."""
+        finite = torch.isfinite(centers).flatten(1).all(1)
+        snapped = evaluator.mirror.snapped(torch.where(finite[:, None, None], centers.detach(), 0.0))
+        self.evaluator, self.centers = evaluator, snapped
+        self._off = ~evaluator.mirror.on_plane(snapped)
+        self._along = along = Spectrum(evaluator.along, torch.where(finite[:, None, None], snapped, torch.nan))
+        self._groups: list[tuple[Tensor, Spectrum]] = []
+        self.regular, self.improvable = along.regular.clone(), along.improvable.clone()
+        self.potential = along.potential.clone()
+        across = torch.zeros_like(along.sigma)
+        for rows, free in evaluator.off_plane(snapped):
+            part = Spectrum(evaluator.across, torch.where(finite[rows, None, None], free, torch.nan))
+            self._groups.append((rows, part))
+            across[rows, : free.shape[1]] = part.sigma
+            self.regular[rows] &= part.regular
+            self.improvable[rows] &= part.improvable
+            self.potential[rows] += part.potential
+        self.potential.clamp_(0.0, 1.0)
+        lowest = torch.where(across > 0, across, torch.inf).amin(1).minimum(along.sigma.amin(1))
+        middle = (lowest * across.amax(1).maximum(along.sigma.amax(1))).sqrt()
+        filled = torch.where(across > 0, across, middle[:, None])
+        self.sigma = torch.where(self.regular[:, None], torch.cat((along.sigma, filled), dim=1), 1.0)
+        evaluator.evaluations += len(centers)
+        evaluator.failed_evaluations += int((~finite).sum())
+
+    @property
+    def regularity(self) -> Tensor:
+        """R [p], maximized; 0 where there is none."""
+        return torch.where(self.regular, self.sigma.amin(1) / self.sigma.amax(1), 0.0)
+
+    @torch.no_grad()
+    @coarse()
+    def backward(self, dlog_sigma: Tensor, dpotential: Tensor) -> Tensor:
+        """Gradient [p, m, d] in the centers of a function with gradients [p, 2m] in log sigma and [p] in P."""
+        m = self.centers.shape[1]
+        self.evaluator.gradients += len(self.centers)
+        dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
+        dpotential = torch.where(self.improvable, dpotential, 0.0)
+        gradient = self._along.backward(dlog_sigma[:, :m], dpotential)
+        for rows, part in self._groups:
+            free = part.centers.shape[1]
+            found = part.backward(dlog_sigma[rows, m : m + free], dpotential[rows])
+            here = gradient[rows]
+            here[self._off[rows]] += found.flatten(0, 1)
+            gradient[rows] = here
+        return gradient
+
+
+def evaluator_of(scenario: Scenario, kernel: Kernel, manipulation: str, backend: str = "auto") -> Evaluator:
+    """The evaluator of a scenario's design, of symmetric setups where the scenario is symmetric."""
+    design = (scenario.vertices, scenario.gradient, kernel, manipulation, scenario.weights, backend)
+    return Evaluator(*design) if scenario.mirror is None else MirroredEvaluator(*design, mirror=scenario.mirror)
+
+
+def _direct_values(deformation: RBFDeformation, centers: Tensor, Phi: Tensor, roots: Tensor) -> tuple[Tensor, bool]:
+    """Singular values of Phi Psi^-1, rows weighted, and whether Psi is numerically singular."""
+    Psi = deformation.psi(centers)
+    inverse: Any = torch.linalg.inv_ex(Psi).inverse
+    if bool(singular(Psi, inverse)):
+        return torch.ones_like(Phi[0]), True
+    return torch.linalg.svdvals(roots * torch.linalg.solve(Psi.mT, Phi.mT).mT), False
