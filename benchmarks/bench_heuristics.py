@@ -38,7 +38,7 @@ def lloyd_row(case: Case, rounds: int, m: int = CENTERS) -> Row:
 
 
 def select(case: Case, m: int = CENTERS, per_axis: int = 30) -> Selection:
-    """The centers that OLS picks, as `rbfevo.methods.heuristics` asks for them."""
+    """The centers that OLS picks, as `rbfevo.methods` asks for them."""
     s = case.scenario
     candidates = grid_candidates(s.lower, s.upper, per_axis)
     return ols(kernel_columns(s.vertices, case.kernel), candidates, s.gradient, m, weights=s.weights)

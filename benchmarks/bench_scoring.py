@@ -19,7 +19,7 @@ from rbfevo.scoring.kernels import ThinPlate
 
 
 class Search:
-    """NSGA-II on one case from a random population; a generation a call, as in `rbfevo.methods.searches`."""
+    """NSGA-II on one case from a random population; a generation a call, as in `rbfevo.methods`."""
 
     def __init__(self, case: Case, evaluator: Evaluator, population: int = 100, m: int = CENTERS) -> None:
         s = case.scenario

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from benchmarks.bench_rows import Row, at_most
 from benchmarks.measure import fastest, interleaved, median, one_blas_thread
-from rbfevo.methods.cmaes import CMAES
+from rbfevo.methods.cmaes.algorithm import CMAES
 from rbfevo.methods.nsga2 import NSGA2
 
 

@@ -19,7 +19,7 @@ import torch
 
 from benchmarks.panels import Panel, chosen
 from rbfevo.errors import UserError
-from rbfevo.methods.searches import Nsga2Search
+from rbfevo.methods.nsga2 import Nsga2Search
 from rbfevo.runs import storage
 from rbfevo.runs.run import Run
 from rbfevo.scoring.pareto import hypervolume, nondominated

@@ -15,7 +15,7 @@ import torch
 from omegaconf import OmegaConf
 
 from benchmarks.processors import Processor, environment
-from rbfevo.methods.searches import preferred
+from rbfevo.methods.method import preferred
 from rbfevo.runs.config import check
 from rbfevo.runs.run import Run
 from rbfevo.scenarios import plane

@@ -32,7 +32,8 @@ from rbfevo.methods.gradient.tracing import (
     front_normals,
     soft_regularity,
 )
-from rbfevo.methods.heuristics import LloydHeuristic, OlsHeuristic
+from rbfevo.methods.lloyd import LloydHeuristic
+from rbfevo.methods.ols import OlsHeuristic
 from rbfevo.runs import storage
 from rbfevo.runs.run import Run
 from rbfevo.scoring.gradients import Spectrum

@@ -26,11 +26,11 @@ __all__ = [
 ]
 
 _MODULES = {
-    "deformation": ("RBFDeformation",),
+    "scoring.deformation": ("RBFDeformation",),
     "errors": ("UserError",),
-    "evaluator": ("Evaluator",),
-    "evolvability": ("Scores",),
-    "kernels": ("Cubic", "Kernel", "ThinPlate", "Wendland", "triharmonic", "wendland"),
+    "scoring.evaluator": ("Evaluator",),
+    "scoring.evolvability": ("Scores",),
+    "scoring.kernels": ("Cubic", "Kernel", "ThinPlate", "Wendland", "triharmonic", "wendland"),
 }
 
 

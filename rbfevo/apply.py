@@ -115,26 +115,26 @@ def warnings(
     places = mesh.points[:, : chosen.centers.shape[1]]
     lowest, highest = places.min(axis=0), places.max(axis=0)
     apart = bool((lowest > record.upper).any() or (highest < record.lower).any())
-    if chosen.support is not None:
+    if chosen.kernel.support is not None:
         from scipy.spatial import KDTree
 
         nearest = KDTree(chosen.centers_and_images().points).query(places)[0].min()
-        if nearest >= chosen.support:
+        if nearest >= chosen.kernel.support:
             yield (
-                f"no point of the mesh lies within reach of a center (support radius {chosen.support:g}, the nearest "
-                f"is {nearest:.4g} away), so nothing moves; {_boxes(record, lowest, highest)}"
+                f"no point of the mesh lies within reach of a center (support radius {chosen.kernel.support:g}, the "
+                f"nearest is {nearest:.4g} away), so nothing moves; {_boxes(record, lowest, highest)}"
             )
             return
     if apart:
         yield f"the mesh lies outside the box of the run; {_boxes(record, lowest, highest)}"
-    if chosen.support is None:
+    if chosen.kernel.support is None:
         margin = 1e-9 * float(np.linalg.norm(record.upper - record.lower))
         outside = ((places < record.lower - margin) | (places > record.upper + margin)).any(axis=1)
         far = outside & (length > FAR * largest)
         if far.any():
             yield (
-                f"the {chosen.kernel} kernel reaches everywhere: {int(far.sum())} points outside the box of the run "
-                f"move by more than {100 * FAR:g} % of the largest displacement of a center, at most by "
+                f"the {chosen.kernel.name} kernel reaches everywhere: {int(far.sum())} points outside the box of the "
+                f"run move by more than {100 * FAR:g} % of the largest displacement of a center, at most by "
                 f"{length[far].max():.4g}"
             )
     triangles = meshes.cells.surface(mesh.points, mesh.cells).triangles

@@ -7,7 +7,7 @@ import shlex
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from rbfevo.arrays import Array
 from rbfevo.commands import parsers
 from rbfevo.errors import UserError
 from rbfevo.files import csv_text, npz, refuse_held, write_whole
+from rbfevo.recorded.moves import Move, spatial, wanted_move
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import Setup, setup
@@ -32,21 +33,6 @@ weights.csv        the RBF weights that do the same: displacement = sum of times
                    component across a symmetry plane turned over for mirrored ones
 setup.npz          arrays for your own optimizer: X' = X + U P
 parameters.prm     control points for PyGeM"""
-
-
-class Move(NamedTuple):
-    """What the setup makes of the wanted displacement, k components.
-
-    Attributes:
-        wanted, reached: [n, k] at the vertices; weights: [m, k]; centers: [m, k] displacements of the centers.
-        direction: whether only the direction was given, so that the size is that of `--step`.
-    """
-
-    wanted: Array
-    reached: Array
-    weights: Array
-    centers: Array
-    direction: bool
 
 
 def parser() -> parsers.Parser:
@@ -110,35 +96,6 @@ def carry_out(options: argparse.Namespace) -> None:
             print(line, flush=True)
 
 
-def wanted_move(record: Record, chosen: Setup, step: float) -> Move:
-    """The least-squares best approximation of the wanted displacement.
-
-    Where only a direction is known it is scaled until a vertex moves by `step` times the diagonal of the template's
-    bounding box, and none moves farther.
-    """
-    direction = record.summary.get("gradient_is") == "direction" or record.gradient_norm is None
-    scale, weights = record.gradient_norm or 1.0, chosen.best(record)
-    wanted, reached = record.gradient * scale, chosen.displacement(record.vertices, weights)
-    if direction:
-        farthest = float(np.linalg.norm(reached, axis=1).max())
-        farthest = farthest if farthest > 1e-9 * np.linalg.norm(wanted, axis=1).max() else 0.0
-        diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
-        factor = step * diagonal / (farthest or float(np.linalg.norm(wanted, axis=1).max()) or 1.0)
-        wanted, reached, weights = factor * wanted, factor * reached, factor * weights
-    centers = chosen.displacement(chosen.centers, weights)
-    if chosen.mirror is not None and chosen.crosses(centers.shape[1]):
-        centers[chosen.on_plane, chosen.mirror.axis] = 0.0  # rounding apart it is
-    return Move(wanted, reached, weights, centers, direction)
-
-
-def spatial(rows: Array) -> Array:
-    """Rows [q, k] of a displacement or of points with three components: one component is a height, z."""
-    k = rows.shape[1]
-    full = np.zeros((len(rows), 3))
-    full[:, 2 if k == 1 else slice(0, k)] = rows[:, 0] if k == 1 else rows
-    return full
-
-
 def tables(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes], dict[str, str]]:
     """The contents of all files but VTK's, and why others are left out."""
     physical, left_out = chosen.centers_and_images(), {}
@@ -183,8 +140,8 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
         "faces": record.faces,
         "lower": record.lower,
         "upper": record.upper,
-        "kernel": np.array(chosen.kernel),
-        "support": np.array(np.nan if chosen.support is None else chosen.support),
+        "kernel": np.array(chosen.kernel.name),
+        "support": np.array(np.nan if chosen.kernel.support is None else chosen.kernel.support),
         "manipulation": np.array(chosen.manipulation),
         "symmetry_axis": np.array("" if mirror is None else "xyz"[mirror.axis]),
         "symmetry_at": np.array(np.nan if mirror is None else mirror.at),
@@ -216,8 +173,8 @@ def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
         "times": (1 + chosen.on_plane[physical.column]).astype(np.uint8),
         "displacement": spatial(chosen.with_images(move.centers)),
     }
-    if chosen.support is not None:
-        arrays["support"] = np.full(len(physical.points), chosen.support)
+    if chosen.kernel.support is not None:
+        arrays["support"] = np.full(len(physical.points), chosen.kernel.support)
     write_dataset(polydata(spatial(physical.points), None, arrays), out / "centers.vtp")
     fields = {"wanted": move.wanted, "reached": move.reached, "left": move.wanted - move.reached}
     fields = {name: spatial(field) for name, field in fields.items()} | {"weights": record.weights}

@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.methods import cmaes
-from rbfevo.methods.cmaes import CMAES, CONDITION_LIMIT, Box, Strategy
+from rbfevo.methods.cmaes import algorithm as cmaes
+from rbfevo.methods.cmaes.algorithm import CMAES, CONDITION_LIMIT, Box, Strategy
 
 Objective = Callable[[Tensor], Tensor]
 

@@ -151,7 +151,7 @@ def test_a_run_that_nobody_listens_to_keeps_its_results(tmp_path):
 
 
 def test_lines_that_cannot_be_encoded_end_nothing(tmp_path):
-    code = "from rbfevo import commands\ncommands.start(lambda: print('caf\\xe9 \\u7f51 \\udcff') or 3)"
+    code = "from rbfevo.commands import parsers\nparsers.start(lambda: print('caf\\xe9 \\u7f51 \\udcff') or 3)"
     said = {}
     for encoding in ("utf-8", "latin-1"):
         environment = os.environ | {"PYTHONIOENCODING": f"{encoding}:strict", "PYTHONPATH": str(ROOT)}

@@ -24,6 +24,7 @@ from rbfevo.figures import __main__ as command_line
 from rbfevo.figures import centers, front, local_error, panels, processes, style, view
 from rbfevo.recorded.record import knee, read
 from rbfevo.scoring import pareto
+from rbfevo.scoring.kernels import triharmonic
 
 SERIES = {
     "random": style.GREEN,
@@ -173,8 +174,8 @@ def test_duplicate_and_out_of_reach_centers_leave_what_the_others_leave(tmp_path
 @pytest.mark.parametrize(("d", "name"), [(2, "thin_plate_spline"), (3, "cubic")])
 def test_triharmonic_interpolates_as_scipys_kernel(d, name):
     places, queries, values = np.split(np.random.default_rng(1).uniform(size=(21, d)), [7, 14])
-    weights = np.linalg.solve(local_error.triharmonic(cdist(places, places), d), values)
-    found = local_error.triharmonic(cdist(queries, places), d) @ weights
+    weights = np.linalg.solve(triharmonic(d)(cdist(places, places)), values)
+    found = triharmonic(d)(cdist(queries, places)) @ weights
     np.testing.assert_allclose(found, RBFInterpolator(places, values, kernel=name, degree=-1)(queries), atol=1e-9)
 
 

@@ -301,8 +301,11 @@ class Scaled(Kernel):
         super().__init__()
         self.inner, self.factor = kernel, factor
 
-    def forward(self, r: Tensor) -> Tensor:
+    def phi(self, r: Tensor) -> Tensor:
         return self.factor * self.inner(r)
+
+    def slope(self, r: Tensor) -> Tensor:
+        return self.factor * self.inner.slope(r)
 
 
 @pytest.mark.parametrize("which", strategy.STRATEGIES)

@@ -11,8 +11,7 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.methods.gradient.search import GradientSearch
-from rbfevo.methods.method import Method, Rows
-from rbfevo.methods.searches import preferred
+from rbfevo.methods.method import Method, Rows, preferred
 from rbfevo.runs.config import Settings, check
 from rbfevo.runs.run import Run
 from rbfevo.scoring.pareto import hypervolume, nondominated

@@ -13,8 +13,9 @@ from scipy.linalg import solve_triangular
 from rbfevo.errors import UserError
 from rbfevo.geometry.blocks import vertex_blocks
 from rbfevo.scoring import fused, gram
+from rbfevo.scoring.distances import distances
 from rbfevo.scoring.gram import GramAccumulator
-from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
 from rbfevo.scoring.threads import run_in_slices
 
 backends = pytest.mark.parametrize("backend", ["fused", "eager"])
@@ -253,8 +254,11 @@ def test_backends_and_their_errors(monkeypatch: pytest.MonkeyPatch) -> None:
         accumulator(built, phi, "fast")
 
     class Linear(Kernel):
-        def forward(self, r: torch.Tensor) -> torch.Tensor:
+        def phi(self, r: torch.Tensor) -> torch.Tensor:
             return r
+
+        def slope(self, r: torch.Tensor) -> torch.Tensor:
+            return 1.0 / r
 
     assert accumulator(built, Linear(), "auto").backend == "eager"
     with pytest.raises(UserError, match="evaluator=fused needs"):

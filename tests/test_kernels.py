@@ -13,7 +13,8 @@ from scipy.interpolate import RBFInterpolator
 from scipy.spatial.distance import cdist
 
 from rbfevo.errors import UserError
-from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland, distances, triharmonic
+from rbfevo.scoring.distances import distances
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland, triharmonic
 
 ALL = [Wendland(0.25), Wendland(1.0), Wendland(3.7), ThinPlate(), Cubic()]
 NAMES = ["wendland 0.25", "wendland 1", "wendland 3.7", "thin plate", "cubic"]
@@ -143,9 +144,7 @@ def test_bad_support_radius(support: object) -> None:
 
 def test_base_class_defines_nothing() -> None:
     with pytest.raises(TypeError, match="phi"):
-        Kernel()(torch.zeros(1))
-    with pytest.raises(TypeError, match="slope"):
-        Kernel().slope(torch.zeros(1))
+        Kernel()  # pyright: ignore[reportAbstractUsage]
 
 
 @pytest.mark.parametrize("d", [2, 3])

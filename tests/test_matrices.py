@@ -20,7 +20,7 @@ import torch
 from designs import DESIGNS
 from torch import Tensor
 
-from rbfevo.methods.cmaes import CMAES
+from rbfevo.methods.cmaes.algorithm import CMAES
 from rbfevo.scoring import matrices
 from rbfevo.scoring.deformation import MANIPULATIONS, RBFDeformation
 from rbfevo.scoring.evaluator import Evaluator

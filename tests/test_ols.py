@@ -10,7 +10,8 @@ import torch
 from rbfevo.errors import UserError
 from rbfevo.methods.ols import grid_candidates, ols
 from rbfevo.scoring import gram
-from rbfevo.scoring.kernels import Wendland, distances
+from rbfevo.scoring.distances import distances
+from rbfevo.scoring.kernels import Wendland
 
 
 def textbook(Phi, g, count, tolerance=1e-9, vanish=1e-12):

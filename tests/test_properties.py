@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
-from rbfevo.methods.cmaes import CMAES
+from rbfevo.methods.cmaes.algorithm import CMAES
 from rbfevo.methods.method import Rows
 from rbfevo.methods.nsga2 import NSGA2
 from rbfevo.runs.storage import setup_table

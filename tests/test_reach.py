@@ -10,7 +10,6 @@ import torch
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.scenarios import plane
 from rbfevo.scenarios.reach import out_of_reach, unfit
-from rbfevo.scoring.kernels import Cubic, Wendland
 
 
 def test_a_center_whose_image_alone_reaches_a_vertex_is_not_idle() -> None:
@@ -22,17 +21,17 @@ def test_a_center_whose_image_alone_reaches_a_vertex_is_not_idle() -> None:
     )
     mirror = Mirror.across(0, 0.5, whole.lower, whole.upper)
     setups = torch.tensor([[[0.9, 1.0], [0.3, 1.0]], [[0.2, 0.5], [0.3, 1.0]]], dtype=torch.float64)
-    (line,) = out_of_reach(half, Wendland(0.3), setups)
+    (line,) = out_of_reach(half, 0.3, setups)
     assert line.startswith("1 of 2 setups have centers (up to 1) without a vertex within the support radius 0.3")
-    assert out_of_reach(dataclasses.replace(half, mirror=mirror), Wendland(0.3), setups) == []
-    assert out_of_reach(half, Cubic(), setups) == []
+    assert out_of_reach(dataclasses.replace(half, mirror=mirror), 0.3, setups) == []
+    assert out_of_reach(half, None, setups) == []
 
 
 def test_a_center_as_far_away_as_the_support_radius_reaches_nothing() -> None:
     design = plane((2, 2))  # vertices at the corners of [0, 1] x [0, 2]
     setup = torch.tensor([[[-0.5, 0.0], [-0.25, 2.0]]], dtype=torch.float64)
-    assert len(out_of_reach(design, Wendland(0.5), setup)) == 1
-    assert out_of_reach(design, Wendland(0.5 + 1e-9), setup) == []
+    assert len(out_of_reach(design, 0.5, setup)) == 1
+    assert out_of_reach(design, 0.5 + 1e-9, setup) == []
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e3])
@@ -41,8 +40,8 @@ def test_radii_are_compared_with_edges_and_with_the_box(scale: float) -> None:
     design = dataclasses.replace(
         design, vertices=scale * design.vertices, lower=scale * design.lower, upper=scale * design.upper
     )
-    (line,) = unfit(design, Wendland(0.09 * scale))
+    (line,) = unfit(design, 0.09 * scale)
     assert "is below the vertex spacing" in line
-    assert unfit(design, Wendland(0.11 * scale)) == unfit(design, Wendland(4.4 * scale)) == []
-    (line,) = unfit(design, Wendland(4.6 * scale))  # the diagonal is 2.236
+    assert unfit(design, 0.11 * scale) == unfit(design, 4.4 * scale) == []
+    (line,) = unfit(design, 4.6 * scale)  # the diagonal is 2.236
     assert "2.06 times the diagonal of the box" in line

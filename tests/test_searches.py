@@ -13,15 +13,15 @@ import trimesh
 from test_gradient import gradient, settings
 from torch import Tensor
 
+from rbfevo.methods.cmaes.search import CmaesSearch
 from rbfevo.methods.gradient.lbfgs import LBFGS
 from rbfevo.methods.gradient.search import GradientSearch
 from rbfevo.methods.gradient.teams import FrontTeam, WishTeam
 from rbfevo.methods.gradient.tracing import soft_regularity
-from rbfevo.methods.heuristics import LloydHeuristic, OlsHeuristic
-from rbfevo.methods.lloyd import lloyd
-from rbfevo.methods.method import Method, Problem, Rows
-from rbfevo.methods.ols import grid_candidates, ols
-from rbfevo.methods.searches import CmaesSearch, Nsga2Search, preferred
+from rbfevo.methods.lloyd import LloydHeuristic, lloyd
+from rbfevo.methods.method import Method, Problem, Rows, preferred
+from rbfevo.methods.nsga2 import Nsga2Search
+from rbfevo.methods.ols import OlsHeuristic, grid_candidates, ols
 from rbfevo.runs.run import Run
 from rbfevo.scoring.evolvability import Scores
 

@@ -7,6 +7,7 @@ import numpy as np
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.recorded.setup import Setup
+from rbfevo.scoring.kernels import Cubic, Wendland
 
 LINEAR = "PyGeM adds a linear polynomial to the RBFs, and so deforms differently between the control points"
 
@@ -15,16 +16,19 @@ def parameters(setup: Setup, displacements: Array) -> bytes:
     """The file for displacements [m, 3] of the centers of a setup in space; images are control points of their own.
 
     Raises:
-        UserError: if the control points do not determine PyGeM's linear polynomial.
+        UserError: for a kernel that PyGeM does not have, or if the control points do not determine PyGeM's linear
+            polynomial.
     """
     original = setup.centers_and_images().points
     if original.shape[1] < 3 or np.linalg.matrix_rank(original - original.mean(axis=0)) < 3:
         raise UserError("PyGeM adds a linear polynomial in x, y and z, which control points in one plane do not fix")
     deformed = original + setup.with_images(displacements)
-    if setup.support is not None:
-        kernel = ["basis function: beckert_wendland_c2_basis", f"radius: {setup.support!r}"]
-    else:
+    if isinstance(setup.kernel, Wendland):
+        kernel = ["basis function: beckert_wendland_c2_basis", f"radius: {setup.kernel.support!r}"]
+    elif isinstance(setup.kernel, Cubic):
         kernel = ["basis function: polyharmonic_spline", "radius: 1.0", "k: 3"]
+    else:
+        raise UserError(f"PyGeM is not known to have the kernel {setup.kernel.name}")
     lines = ["# RBF parameters for PyGeM, written by rbfevo.", f"# {LINEAR}.", ""]
     lines += ["[Radial Basis Functions]", *kernel, "", "[Control points]"]
     for name, points in (("original", original), ("deformed", deformed)):

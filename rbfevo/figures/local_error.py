@@ -6,9 +6,9 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.recorded.record import Record
-from rbfevo.recorded.setup import BLOCK, setup, triharmonic, wendland
+from rbfevo.recorded.setup import BLOCK, setup
 
-__all__ = ["BLOCK", "local_error", "reached", "triharmonic", "wendland"]
+__all__ = ["BLOCK", "local_error", "reached"]
 
 
 def reached(record: Record, index: int) -> Array:

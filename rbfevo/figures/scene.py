@@ -8,8 +8,8 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
-from rbfevo.export import spatial
 from rbfevo.figures.local_error import local_error
+from rbfevo.recorded.moves import spatial
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import setup

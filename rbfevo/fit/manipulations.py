@@ -12,8 +12,9 @@ from rbfevo.choices import refuse_others
 from rbfevo.errors import UserError
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.deformation import RBFDeformation
+from rbfevo.scoring.distances import distances
 from rbfevo.scoring.evolvability import evolvability, singular
-from rbfevo.scoring.kernels import Kernel, distances
+from rbfevo.scoring.kernels import Kernel
 
 
 class Deformation(NamedTuple):

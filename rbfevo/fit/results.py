@@ -17,7 +17,7 @@ from rbfevo.fit.objective import residuals
 from rbfevo.fit.source import Source
 from rbfevo.fit.strategy import Fit
 from rbfevo.runs.storage import csv_text, npz, write_whole
-from rbfevo.scoring.kernels import distances
+from rbfevo.scoring.distances import distances
 
 RESULTS = ("fit.json", "history.csv", "parameters.npz", "deformed.ply", "fit.png")
 

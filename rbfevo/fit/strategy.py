@@ -17,7 +17,7 @@ from rbfevo.choices import refuse_others
 from rbfevo.errors import UserError
 from rbfevo.fit.manipulations import deformation
 from rbfevo.fit.objective import Objective, Optimum, Pairs
-from rbfevo.methods.cmaes import CMAES
+from rbfevo.methods.cmaes.algorithm import CMAES
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.kernels import Kernel
 

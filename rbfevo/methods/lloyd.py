@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.methods.method import Heuristic, Problem, at_least_one
 
 _COARSE = 4096  # vertices on which the starts are drawn and run first
 _BLOCK = 2**17  # distances computed at a time: few enough to stay in the cache
@@ -158,3 +159,30 @@ def _reseed(X: Tensor, centers: Tensor, empty: Tensor) -> Tensor:
         centers[j] = X[square.argmax()]
         square = torch.minimum(square, _squares(axes, centers[j, :, None])[0])
     return centers
+
+
+class LloydHeuristic(Heuristic):
+    """Uniform centers by Lloyd sampling, for high regularity: the best of `starts` runs of k-means on the vertices.
+
+    Of a symmetric design it sees one half, and no vertices where no center may sit.
+    """
+
+    name = "lloyd"
+
+    def __init__(self, starts: int = 10, iterations: int = 100) -> None:
+        super().__init__()
+        self.starts = at_least_one(f"{self.name}: starts", starts)
+        self.iterations = at_least_one(f"{self.name}: iterations", iterations)
+
+    def place(self, problem: Problem) -> Tensor:
+        """[1, m, d]."""
+        design = problem.scenario.half(open_only=True)
+        centers = lloyd(
+            design.vertices,
+            problem.centers,
+            generator=problem.stream("lloyd"),
+            weights=design.weights,
+            starts=self.starts,
+            iterations=self.iterations,
+        )
+        return problem.parameterization.settle(centers)[None]

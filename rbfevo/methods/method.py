@@ -205,6 +205,17 @@ def no_preference(method: str, centers: Tensor, scores: Scores) -> Rows:
     return Rows(method, centers, scores, torch.full_like(scores.regularity, math.nan))
 
 
+def preferred(preference: Tensor, objectives: Tensor) -> Tensor:
+    """f = preference R + (1 - preference) P of objectives [..., 2], maximized (paper, eq. 9)."""
+    return preference * objectives[..., 0] + (1.0 - preference) * objectives[..., 1]
+
+
+def unscored(centers: Tensor, objectives: Tensor) -> Scores:
+    """Scores of setups of which a search keeps no more than the objectives; V is filled in when a run is saved."""
+    nan = torch.full_like(objectives[:, 0], math.nan)
+    return Scores(objectives[:, 0], objectives[:, 1], nan, torch.zeros_like(nan, dtype=torch.bool))
+
+
 def at_least_one(setting: str, value: int) -> int:
     """`value` if it is at least 1.
 

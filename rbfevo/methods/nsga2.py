@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.methods.method import Method, Problem, Rows, at_least_one, no_preference, unscored
 from rbfevo.scoring.pareto import best
 
 Array = NDArray[np.floating[Any]]
@@ -233,3 +234,67 @@ def _mutate(x: Array, lower: Array, upper: Array, eta: float, probability: float
     far = np.where(up > 0.0, place, 1.0 - place)
     step = 1.0 - _power(v + (1.0 - v) * _power(far, eta + 1.0), 1.0 / (eta + 1.0))
     x[mutated] = y + np.copysign(step, up) * width
+
+
+class Nsga2Search(Method):
+    """The front of regularity and improvement potential by NSGA-II (paper, section 5)."""
+
+    name = "nsga2"
+
+    def __init__(
+        self,
+        population: int = 100,
+        generations: int = 1000,
+        crossover_probability: float = 0.9,
+        crossover_eta: float = 20.0,
+        mutation_probability: float | None = None,
+        mutation_eta: float = 20.0,
+    ) -> None:
+        self.steps = at_least_one(f"{self.name}: generations", generations)
+        check_settings(population, crossover_probability, crossover_eta, mutation_probability, mutation_eta)
+        self.initial = self.population = population
+        self.crossover_probability, self.crossover_eta = crossover_probability, crossover_eta
+        self.mutation_probability, self.mutation_eta = mutation_probability, mutation_eta
+
+    def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
+        return self.steps * self.population
+
+    def start(self, problem: Problem) -> None:
+        lower, upper = problem.flat_box
+        self._problem = problem
+        start = problem.initial.centers[: self.population]
+        self.algorithm = NSGA2(
+            start.flatten(1),
+            lower,
+            upper,
+            generator=problem.stream("nsga2"),
+            crossover_probability=self.crossover_probability,
+            crossover_eta=self.crossover_eta,
+            mutation_probability=self.mutation_probability,
+            mutation_eta=self.mutation_eta,
+        )
+        self.algorithm.ask()
+        self.algorithm.tell(problem.initial.scores.objectives[: self.population])
+
+    def step(self) -> None:
+        centers = self._problem.unflatten(self.algorithm.ask())
+        self.algorithm.tell(self._problem.evaluate(centers).objectives)
+
+    def progress(self) -> list[tuple[float, Tensor]]:
+        return [(math.nan, self.algorithm.objectives)]
+
+    def rows(self) -> list[Rows]:
+        centers = self._problem.unflatten(self.algorithm.population)
+        return [no_preference(self.name, centers, unscored(centers, self.algorithm.objectives))]
+
+    def state_dict(self) -> dict[str, Any]:
+        """The population, its objectives and the generator."""
+        return self.algorithm.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue with that population."""
+        self.algorithm.load_state_dict(state)
+
+    def fits(self, steps: int) -> bool:
+        """A generation does not know how many there will be."""
+        return True

@@ -24,6 +24,8 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.methods.method import Heuristic, Problem, at_least_one
+from rbfevo.scoring.gram import kernel_columns
 from rbfevo.scoring.threads import run_in_slices
 
 
@@ -274,3 +276,35 @@ class _Screen:
         self.moment -= torch.outer(y, share)
         self.doubt += self.slack * torch.linalg.vector_norm(share)
         self.rest = self.rest - torch.outer(q, share)
+
+
+class OlsHeuristic(Heuristic):
+    """Greedy centers by orthogonal least squares on a grid of candidates, for high improvement potential.
+
+    They are chosen for indirect manipulation and used for both, since P is the same for both. Of a symmetric design it
+    sees one half, without the images of the centers.
+    """
+
+    name = "ols"
+
+    def __init__(self, per_axis: int = 30) -> None:
+        super().__init__()
+        self.per_axis = at_least_one(f"{self.name}: per_axis", per_axis)
+
+    def _candidates(self, problem: Problem) -> Tensor:
+        """The grid [c, d] over the box, without the region where no center may sit."""
+        grid = grid_candidates(problem.lower, problem.upper, self.per_axis)
+        region = problem.scenario.keep_out
+        return grid if region is None else grid[~region.contains(grid)]
+
+    def place(self, problem: Problem) -> Tensor:
+        """[1, m, d]."""
+        design = problem.scenario.half()
+        centers = ols(
+            kernel_columns(design.vertices, problem.kernel),
+            self._candidates(problem),
+            design.gradient,
+            problem.centers,
+            weights=design.weights,
+        ).centers
+        return problem.parameterization.settle(centers)[None]

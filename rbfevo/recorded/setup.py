@@ -16,23 +16,13 @@ import numpy as np
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.recorded.record import Record
+from rbfevo.scoring.kernels import Kernel, Wendland, kernel_of, triharmonic
 
 BLOCK = 65_536  # rows at a time, or fewer where there are many centers
 CELLS = 2**22  # of a block of columns: 32 MB
 ON_PLANE = 1e-12  # of the box's diagonal: a center that close to the symmetry plane is on it
 EPS = float(np.finfo(float).eps)
 ROUNDING = 8 * EPS  # of the box's largest coordinate: the same far from the origin
-
-
-def wendland(r: Array, support: float) -> Array:
-    """Wendland C2, (1 - r/s)^4 (4 r/s + 1) for r < s, else 0; distances r of any shape."""
-    q = np.minimum(r / support, 1.0)
-    return (1.0 - q) ** 4 * (4.0 * q + 1.0)
-
-
-def triharmonic(r: Array, dimension: int) -> Array:
-    """What the paper calls triharmonic: r^2 log r in the plane, r^3 in space; distances r of any shape."""
-    return r**2 * np.log(np.where(r > 0, r, 1.0)) if dimension == 2 else r**3
 
 
 class Mirror(NamedTuple):
@@ -66,7 +56,7 @@ class Setup:
 
     Attributes:
         centers: [m, d]; a center on the symmetry plane is exactly on it.
-        kernel: `wendland` or `triharmonic`; support: its support radius, None for triharmonic.
+        kernel: phi.
         manipulation: the run's, `indirect` or `direct`.
         mirror: the symmetry plane, or None.
         on_plane: [m] True for a center on the symmetry plane; all False without one.
@@ -74,8 +64,7 @@ class Setup:
     """
 
     centers: Array
-    kernel: str
-    support: float | None
+    kernel: Kernel
     manipulation: str
     mirror: Mirror | None
     on_plane: Array
@@ -88,20 +77,14 @@ class Setup:
         """Indices [m_off] of the centers off the symmetry plane; all of them without one."""
         return np.flatnonzero(~self.on_plane)
 
-    def phi(self, r: Array) -> Array:
-        """The kernel at distances r of any shape."""
-        if self.support is not None:
-            return wendland(r, self.support)
-        return triharmonic(r, self.centers.shape[1])
-
     def columns(self, points: Array, across: bool = False) -> Array:
         """Phi [q, m] at points [q, d]: with a mirror the columns along its plane, or those across it."""
         from scipy.spatial.distance import cdist  # takes a while: only once there is something to be worked out
 
-        plain = self.phi(cdist(points, self.centers))
+        plain = self.kernel(cdist(points, self.centers))
         if self.mirror is None:
             return plain
-        images = self.phi(cdist(points, self.mirror.image(self.centers)))
+        images = self.kernel(cdist(points, self.mirror.image(self.centers)))
         return plain - images if across else plain + images
 
     def psi(self, across: bool = False) -> Array:
@@ -231,7 +214,6 @@ def setup(record: Record, row: int) -> Setup:
     Raises:
         UserError: if summary.json names a kernel or a symmetry that is not known here.
     """
-    kernel, support = _kernel(record)
     mirror, centers = _mirror(record), np.array(record.centers[row], dtype=np.float64)
     on_plane = np.zeros(len(centers), dtype=bool)
     if mirror is not None:
@@ -241,8 +223,7 @@ def setup(record: Record, row: int) -> Setup:
         centers[on_plane, mirror.axis] = mirror.at
     return Setup(
         centers=centers,
-        kernel=kernel,
-        support=support,
+        kernel=_kernel(record),
         manipulation=str(record.summary.get("manipulation", "indirect")),
         mirror=mirror,
         on_plane=on_plane,
@@ -252,12 +233,15 @@ def setup(record: Record, row: int) -> Setup:
     )
 
 
-def _kernel(record: Record) -> tuple[str, float | None]:
+def _kernel(record: Record) -> Kernel:
     name, support = record.summary.get("kernel"), record.summary.get("support")
+    spec = record.summary.get("representation")
+    if isinstance(spec, dict) and isinstance(spec.get("kernel"), dict):
+        return kernel_of(spec["kernel"])
     if name == "wendland" and isinstance(support, int | float) and 0 < support < float("inf"):
-        return name, float(support)
+        return Wendland(support)
     if name == "triharmonic":
-        return name, None
+        return triharmonic(record.vertices.shape[1])
     raise UserError(f"summary.json: what a setup does is not known for kernel={name} with support radius {support}")
 
 

@@ -151,11 +151,20 @@ def preferences(value: Any) -> tuple[float, ...] | None:
     return tuple(float(entry) for entry in values)
 
 
+# Where the targets of configurations that older runs left in their directories are now.
+MOVED = {f"rbfevo.kernels.{name}": f"rbfevo.scoring.kernels.{name}" for name in ("wendland", "triharmonic")}
+
+
+def target_of(path: str) -> Any:
+    """What a `_target_` points at, also one of a configuration that an older run left behind."""
+    return hydra.utils.get_object(MOVED.get(path, path))
+
+
 def checked_target(node: Any, path: str) -> dict[str, Any]:
     """The node with every value converted to the type that its `_target_` declares, nested nodes included."""
     if not isinstance(node, dict) or "_target_" not in node:
         raise UserError(f"{path}={node}: this is not an option of the group {path}")
-    target = hydra.utils.get_object(node["_target_"])
+    target = target_of(node["_target_"])
     hints = typing.get_type_hints(target.__init__ if inspect.isclass(target) else target)
     parameters = inspect.signature(target).parameters
     plain = {key: value for key, value in node.items() if not isinstance(value, dict)}
@@ -228,4 +237,4 @@ def in_words(kind: Any) -> str:
 def build(node: dict[str, Any], *arguments: Any) -> Any:
     """Call what a node's `_target_` points at, with the other values, and objects in place of nested nodes."""
     values = {key: build(value) if isinstance(value, dict) else value for key, value in node.items()}
-    return hydra.utils.get_object(values.pop("_target_"))(*arguments, **values)
+    return target_of(values.pop("_target_"))(*arguments, **values)

@@ -116,7 +116,7 @@ class Run:
             COUNTERS, 0
         )  # by the parts of this run that were carried out earlier
         self._stage_index = self._step = self._before = 0  # of the rows, those before this stage
-        self.warnings: list[str] = [*self.scenario.warnings, *reach.unfit(self.scenario, self.kernel)]
+        self.warnings: list[str] = [*self.scenario.warnings, *reach.unfit(self.scenario, self.kernel.support)]
         self.warnings += unused_preferences(settings)
         self.differences: dict[str, float] | None = None
         self.told = 0  # warnings that have been printed
@@ -377,7 +377,9 @@ class Run:
         rescored = [rows._replace(scores=self._final(rows.centers)) for rows in self.rows]
         if self.searched is not self.scenario:
             self.differences = differences(self.rows[self._drawn :], rescored[self._drawn :])
-        self.warnings += reach.out_of_reach(self.scenario, self.kernel, torch.cat([row.centers for row in self.rows]))
+        self.warnings += reach.out_of_reach(
+            self.scenario, self.kernel.support, torch.cat([row.centers for row in self.rows])
+        )
         table = storage.setup_table(rescored)
         objectives = torch.cat([rows.scores.objectives for rows in rescored])
         storage.write_scenario(directory, self.scenario)

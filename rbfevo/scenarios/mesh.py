@@ -14,6 +14,7 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.geometry import placement, topology
 from rbfevo.geometry.correspondence import Points, Triangles
+from rbfevo.geometry.lengths import length
 from rbfevo.geometry.pairing import REJECTIONS, Pairing, pair
 from rbfevo.geometry.parameterization import Region
 from rbfevo.scenarios import fixing, sensitivities
@@ -24,7 +25,6 @@ from rbfevo.scenarios.surfaces import checked_extent, read_surface
 from rbfevo.scenarios.templates import Template, read_template
 from rbfevo.scenarios.units import nearest_unit
 from rbfevo.scenarios.vertex_arrays import vertex_array
-from rbfevo.scoring.kernels import length
 
 WEIGHTS = ("uniform", "area")
 MIXED_UNITS = 20.0  # times as large: metres and millimetres, or inches and millimetres

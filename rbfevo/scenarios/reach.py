@@ -1,4 +1,4 @@
-"""Words about a support radius that does not fit the mesh: too short for its vertices, or for where the centers sit."""
+"""Warnings about a support radius that is too short for the vertices or for where the centers sit, or too long."""
 
 from __future__ import annotations
 
@@ -7,34 +7,33 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from rbfevo.scenarios.scenario import Scenario
-from rbfevo.scoring.kernels import Kernel
 
 FARTHEST = 2.0  # diagonals of the box
 
 
-def unfit(scenario: Scenario, kernel: Kernel) -> list[str]:
+def unfit(scenario: Scenario, support: float | None) -> list[str]:
     """A warning if the support radius is below the vertex spacing (the median edge), or far beyond the box."""
     faces, vertices = scenario.faces, scenario.vertices
-    if kernel.support is not None and kernel.support > FARTHEST * scenario.diagonal:
+    if support is not None and support > FARTHEST * scenario.diagonal:
         return [
-            f"the support radius {kernel.support:g} is {kernel.support / scenario.diagonal:.3g} times the diagonal of "
+            f"the support radius {support:g} is {support / scenario.diagonal:.3g} times the diagonal of "
             "the box: every center moves everything almost alike (a percentage of it is written kernel.support=15%)"
         ]
-    if kernel.support is None or not len(faces):
+    if support is None or not len(faces):
         return []
     edges = torch.cat((faces[:, :2], faces[:, 1:], faces[:, ::2]))
     spacing = float((vertices[edges[:, 0]] - vertices[edges[:, 1]]).norm(dim=1).median())
-    if kernel.support >= spacing:
+    if support >= spacing:
         return []
     return [
-        f"the support radius {kernel.support:g} is below the vertex spacing {spacing:g} (median edge): a center moves "
+        f"the support radius {support:g} is below the vertex spacing {spacing:g} (median edge): a center moves "
         "one vertex or none; enlarge kernel.support"
     ]
 
 
-def out_of_reach(scenario: Scenario, kernel: Kernel, centers: Tensor) -> list[str]:
+def out_of_reach(scenario: Scenario, support: float | None, centers: Tensor) -> list[str]:
     """A warning if setups [p, m, d] have centers without a vertex within the support radius, which makes R = 0."""
-    if kernel.support is None or not len(centers):
+    if support is None or not len(centers):
         return []
     setups = centers[torch.isfinite(centers).flatten(1).all(1)].cpu()
     tree = KDTree(scenario.vertices.cpu().numpy())
@@ -45,10 +44,10 @@ def out_of_reach(scenario: Scenario, kernel: Kernel, centers: Tensor) -> list[st
     distance = near(setups)
     if scenario.mirror is not None:
         distance = torch.minimum(distance, near(scenario.mirror.image(setups)))
-    idle = (distance >= kernel.support).sum(1)
+    idle = (distance >= support).sum(1)
     if not bool((idle > 0).any()):
         return []
     return [
         f"{int((idle > 0).sum())} of {len(idle)} setups have centers (up to {int(idle.max())}) without a vertex within "
-        f"the support radius {kernel.support:g}: they move nothing, and R is 0 there"
+        f"the support radius {support:g}: they move nothing, and R is 0 there"
     ]

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from rbfevo.scoring.deformation import RBFDeformation
-from rbfevo.scoring.kernels import distances
+from rbfevo.scoring.distances import distances
 from rbfevo.scoring.matrices import gram, left_singular, product, solve_lower
 from rbfevo.scoring.threads import coarse
 

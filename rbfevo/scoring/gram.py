@@ -15,8 +15,9 @@ from rbfevo.choices import EVALUATORS, refuse_others
 from rbfevo.errors import UserError
 from rbfevo.geometry.blocks import VertexBlocks, vertex_blocks
 from rbfevo.scoring import matrices
+from rbfevo.scoring.distances import distances
 from rbfevo.scoring.images import Image, values
-from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland, distances
+from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
 from rbfevo.scoring.matrices import product, solve_lower
 from rbfevo.scoring.threads import coarse, run_in_slices
 

@@ -7,7 +7,8 @@ from typing import NamedTuple
 from torch import Tensor
 
 from rbfevo.geometry.mirror import Mirror
-from rbfevo.scoring.kernels import Kernel, distances
+from rbfevo.scoring.distances import distances
+from rbfevo.scoring.kernels import Kernel
 
 
 class Image(NamedTuple):

@@ -11,9 +11,9 @@ from rbfevo.errors import UserError
 from rbfevo.methods.gradient.lbfgs import LBFGS
 from rbfevo.methods.gradient.teams import RANDOM, FrontTeam, Team, WishTeam
 from rbfevo.methods.gradient.tracing import exponents, soft_regularity
-from rbfevo.methods.heuristics import LloydHeuristic, OlsHeuristic
-from rbfevo.methods.method import Method, Problem, Rows, at_least_one
-from rbfevo.methods.searches import unscored
+from rbfevo.methods.lloyd import LloydHeuristic
+from rbfevo.methods.method import Method, Problem, Rows, at_least_one, unscored
+from rbfevo.methods.ols import OlsHeuristic
 
 ROUNDS = 5
 FIRST_ROUND = 0.3  # of the generations: starts climb on their own before the front is looked at

@@ -217,8 +217,10 @@ class CMAES:
     def ask(self) -> Tensor:
         """Draw the offspring of this generation: [B, lambda, D], inside the box (eq. 38-40).
 
-        Asking again before `tell` draws anew.
+        Asking again before `tell` returns the same offspring.
         """
+        if self._x is not None:
+            return self._x.clone()
         B, D = self._m.shape
         z = self._m.new_empty(B, self._offspring, D)
         for b, generator in enumerate(self._generators):

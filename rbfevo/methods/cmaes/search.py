@@ -1,4 +1,4 @@
-"""The searches as methods of a run: settings, one generation a step, and what they have found."""
+"""CMA-ES as a method of a run: settings, one generation a step, and what it has found."""
 
 from __future__ import annotations
 
@@ -9,74 +9,8 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.methods.cmaes import CMAES
-from rbfevo.methods.method import Method, Problem, Rows, at_least_one, no_preference
-from rbfevo.methods.nsga2 import NSGA2, check_settings
-from rbfevo.scoring.evolvability import Scores
-
-
-class Nsga2Search(Method):
-    """The front of regularity and improvement potential by NSGA-II (paper, section 5)."""
-
-    name = "nsga2"
-
-    def __init__(
-        self,
-        population: int = 100,
-        generations: int = 1000,
-        crossover_probability: float = 0.9,
-        crossover_eta: float = 20.0,
-        mutation_probability: float | None = None,
-        mutation_eta: float = 20.0,
-    ) -> None:
-        self.steps = at_least_one(f"{self.name}: generations", generations)
-        check_settings(population, crossover_probability, crossover_eta, mutation_probability, mutation_eta)
-        self.initial = self.population = population
-        self.crossover_probability, self.crossover_eta = crossover_probability, crossover_eta
-        self.mutation_probability, self.mutation_eta = mutation_probability, mutation_eta
-
-    def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
-        return self.steps * self.population
-
-    def start(self, problem: Problem) -> None:
-        lower, upper = problem.flat_box
-        self._problem = problem
-        start = problem.initial.centers[: self.population]
-        self.algorithm = NSGA2(
-            start.flatten(1),
-            lower,
-            upper,
-            generator=problem.stream("nsga2"),
-            crossover_probability=self.crossover_probability,
-            crossover_eta=self.crossover_eta,
-            mutation_probability=self.mutation_probability,
-            mutation_eta=self.mutation_eta,
-        )
-        self.algorithm.ask()
-        self.algorithm.tell(problem.initial.scores.objectives[: self.population])
-
-    def step(self) -> None:
-        centers = self._problem.unflatten(self.algorithm.ask())
-        self.algorithm.tell(self._problem.evaluate(centers).objectives)
-
-    def progress(self) -> list[tuple[float, Tensor]]:
-        return [(math.nan, self.algorithm.objectives)]
-
-    def rows(self) -> list[Rows]:
-        centers = self._problem.unflatten(self.algorithm.population)
-        return [no_preference(self.name, centers, unscored(centers, self.algorithm.objectives))]
-
-    def state_dict(self) -> dict[str, Any]:
-        """The population, its objectives and the generator."""
-        return self.algorithm.state_dict()
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue with that population."""
-        self.algorithm.load_state_dict(state)
-
-    def fits(self, steps: int) -> bool:
-        """A generation does not know how many there will be."""
-        return True
+from rbfevo.methods.cmaes.algorithm import CMAES
+from rbfevo.methods.method import Method, Problem, Rows, at_least_one, preferred, unscored
 
 
 class CmaesSearch(Method):
@@ -160,24 +94,3 @@ class CmaesSearch(Method):
     def fits(self, steps: int) -> bool:
         """A generation does not know how many there will be."""
         return True
-
-
-class Panel:
-    """One panel of the paper's figures 3 and 6: front, preference grid, Lloyd and OLS, one after the other."""
-
-    name = "panel"
-
-    def __init__(self, nsga2: Method, cmaes: CmaesSearch, lloyd: Method, ols: Method) -> None:
-        cmaes.default_preferences = tuple(i / 10 for i in range(11))
-        self.stages: list[Method] = [nsga2, cmaes, lloyd, ols]
-
-
-def preferred(preference: Tensor, objectives: Tensor) -> Tensor:
-    """f = preference R + (1 - preference) P of objectives [..., 2], maximized (paper, eq. 9)."""
-    return preference * objectives[..., 0] + (1.0 - preference) * objectives[..., 1]
-
-
-def unscored(centers: Tensor, objectives: Tensor) -> Scores:
-    """Scores of setups of which a search keeps no more than the objectives; V is filled in when a run is saved."""
-    nan = torch.full_like(objectives[:, 0], math.nan)
-    return Scores(objectives[:, 0], objectives[:, 1], nan, torch.zeros_like(nan, dtype=torch.bool))

@@ -1,0 +1,56 @@
+"""Wendland's C2 function (Wendland 2004)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from rbfevo.errors import UserError
+from rbfevo.geometry.lengths import length
+from rbfevo.scoring.kernels.kernel import Kernel
+
+
+class Wendland(Kernel):
+    """(1 - r/s)^4 (4 r/s + 1) for r < s, else 0; positive definite to d = 3.
+
+    Raises:
+        UserError: unless the support radius s is a positive number.
+    """
+
+    name = "wendland"
+    positive_definite = True
+    page = "wendland"
+
+    def __init__(self, support: float) -> None:
+        if not (isinstance(support, int | float) and math.isfinite(support) and support > 0):
+            raise UserError(f"kernel.support={support}: the support radius must be a positive number, in model units")
+        self._radius = self.support = float(support)
+
+    def phi(self, r: Any) -> Any:
+        q = (r / self._radius).clip(max=1.0)
+        u = 1.0 - q
+        u = u * u  # pow(., 4) costs as much as ten products
+        return u * u * (4.0 * q + 1.0)
+
+    def slope(self, r: Any) -> Any:
+        u = (1.0 - r / self._radius).clip(min=0.0)
+        return (-20.0 / self._radius**2) * u**3
+
+
+def wendland(
+    dimension: int, default_support: float, diagonal: float | None = None, support: float | str | None = None
+) -> Kernel:
+    """Wendland's C2 function with `support`, or where that is None with the scenario's `default_support`.
+
+    Args:
+        dimension: d.
+        default_support: model units.
+        diagonal: of the scenario's box, model units, of which `support` may be a percentage.
+        support: a number in model units, or a percentage such as "30%".
+
+    Raises:
+        UserError: unless the dimension is 1, 2 or 3 (beyond that it is not positive definite) and the radius positive.
+    """
+    if dimension not in (1, 2, 3):
+        raise UserError(f"Wendland's C2 function is positive definite for up to 3 dimensions, not for {dimension}")
+    return Wendland(default_support if support is None else length("kernel.support", support, diagonal))
