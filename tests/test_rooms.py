@@ -17,7 +17,7 @@ ROOMS = {
     "scenarios": {"geometry", "meshes"},
     "scoring": {"geometry", "scenarios"},
     "methods": {"geometry", "scenarios", "scoring"},
-    "recorded": {"scoring"},
+    "recorded": {"geometry", "scoring"},
     "runs": {"geometry", "scenarios", "scoring", "methods", "figures"},  # a run starts the program that draws
     "fit": {"scenarios", "scoring", "methods", "runs", "recorded"},
     "figures": {"recorded"},

@@ -53,7 +53,7 @@ def test_a_heuristic_that_cannot_work_does_not_sink_the_panel(tmp_path: Path, mo
     def refuse(*_: object, **__: object) -> None:
         raise UserError("no candidate is usable")
 
-    monkeypatch.setattr("rbfevo.methods.ols", refuse)
+    monkeypatch.setattr("rbfevo.methods.ols.ols", refuse)
     assert run.carry_out(settings("panel"), tmp_path) == 0
     assert set(table(tmp_path)["method"].tolist()) == {"random", "nsga2", "cmaes", "lloyd"}
     assert "ols was left out: no candidate is usable" in (tmp_path / "summary.json").read_text()
@@ -63,7 +63,7 @@ def test_what_was_found_before_an_error_is_written(tmp_path: Path, monkeypatch) 
     def break_down(*_: object, **__: object) -> None:
         raise RuntimeError("out of memory, say")
 
-    monkeypatch.setattr("rbfevo.methods.lloyd", break_down)
+    monkeypatch.setattr("rbfevo.methods.lloyd.lloyd", break_down)
     with pytest.raises(RuntimeError, match="out of memory"):
         run.carry_out(settings("panel"), tmp_path)
     assert set(table(tmp_path)["method"].tolist()) == {"random", "nsga2", "cmaes"}

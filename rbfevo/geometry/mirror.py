@@ -11,26 +11,29 @@ Searches therefore keep the number of centers on the plane, but for those that a
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-import torch
-from torch import Tensor
+import numpy as np
 
 from rbfevo.errors import UserError
+from rbfevo.geometry.namespaces import copied, namespace
 
 ON_PLANE = 1e-12  # of the box's diagonal: a center that close to the plane is its own image
-ROUNDING = 8 * torch.finfo(torch.float64).eps  # of the largest coordinate of the box: the same far from the origin
+ROUNDING = 8 * float(np.finfo(np.float64).eps)  # of the largest coordinate of the box: the same far from the origin
 
 
 class Mirror(NamedTuple):
-    """The plane on which coordinate `axis` is `at` (model units); within `tolerance` of it a center lies on it."""
+    """The plane on which coordinate `axis` is `at` (model units); within `tolerance` of it a center lies on it.
+
+    Points are arrays of NumPy or tensors of torch.
+    """
 
     axis: int
     at: float
-    tolerance: float
+    tolerance: float = 0.0
 
     @staticmethod
-    def across(axis: int, at: float, lower: Tensor, upper: Tensor) -> Mirror:
+    def across(axis: int, at: float, lower: Any, upper: Any) -> Mirror:
         """The plane through a box [d], [d], with the tolerance that belongs to the box.
 
         Raises:
@@ -41,21 +44,27 @@ class Mirror(NamedTuple):
                 f"the symmetry plane {'xyz'[axis]} = {at:g} does not cross the box, where {'xyz'[axis]} runs from "
                 f"{float(lower[axis]):g} to {float(upper[axis]):g}"
             )
-        farthest = float(torch.stack((lower, upper)).abs().max())
-        return Mirror(axis, at, max(ON_PLANE * float((upper - lower).norm()), ROUNDING * farthest))
+        return Mirror.of_box(axis, at, lower, upper)
 
-    def image(self, points: Tensor) -> Tensor:
+    @staticmethod
+    def of_box(axis: int, at: float, lower: Any, upper: Any) -> Mirror:
+        """A plane with the tolerance that belongs to a box [d], [d], which it need not cross."""
+        low, high = np.asarray(lower, np.float64), np.asarray(upper, np.float64)
+        farthest = float(np.abs([low, high]).max())
+        return Mirror(axis, at, max(ON_PLANE * float(np.linalg.norm(high - low)), ROUNDING * farthest))
+
+    def image(self, points: Any) -> Any:
         """Mirror images of points [..., d]."""
-        images = points.clone()
+        images = copied(points)
         images[..., self.axis] = 2.0 * self.at - points[..., self.axis]
         return images
 
-    def on_plane(self, points: Tensor) -> Tensor:
+    def on_plane(self, points: Any) -> Any:
         """Which of points [..., d] lie on the plane, [...] bool."""
-        return (points[..., self.axis] - self.at).abs() <= self.tolerance
+        return abs(points[..., self.axis] - self.at) <= self.tolerance
 
-    def snapped(self, points: Tensor) -> Tensor:
+    def snapped(self, points: Any) -> Any:
         """Points [..., d], those on the plane exactly on it, so that they are their own images to the last bit."""
-        points = points.clone()
-        points[..., self.axis] = torch.where(self.on_plane(points), self.at, points[..., self.axis])
+        points = copied(points)
+        points[..., self.axis] = namespace(points).where(self.on_plane(points), self.at, points[..., self.axis])
         return points

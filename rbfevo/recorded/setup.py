@@ -15,27 +15,13 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
+from rbfevo.geometry.mirror import Mirror
 from rbfevo.recorded.record import Record
 from rbfevo.scoring.kernels import Kernel, Wendland, kernel_of, triharmonic
 
 BLOCK = 65_536  # rows at a time, or fewer where there are many centers
 CELLS = 2**22  # of a block of columns: 32 MB
-ON_PLANE = 1e-12  # of the box's diagonal: a center that close to the symmetry plane is on it
 EPS = float(np.finfo(float).eps)
-ROUNDING = 8 * EPS  # of the box's largest coordinate: the same far from the origin
-
-
-class Mirror(NamedTuple):
-    """The symmetry plane on which coordinate `axis` (0, 1 or 2) is `at`, in model units."""
-
-    axis: int
-    at: float
-
-    def image(self, points: Array) -> Array:
-        """Mirror images of points [..., d]."""
-        images = points.copy()
-        images[..., self.axis] = 2.0 * self.at - points[..., self.axis]
-        return images
 
 
 class Centers(NamedTuple):
@@ -217,10 +203,7 @@ def setup(record: Record, row: int) -> Setup:
     mirror, centers = _mirror(record), np.array(record.centers[row], dtype=np.float64)
     on_plane = np.zeros(len(centers), dtype=bool)
     if mirror is not None:
-        diagonal = float(np.linalg.norm(record.upper - record.lower))
-        farthest = float(np.abs([record.lower, record.upper]).max())
-        on_plane = np.abs(centers[:, mirror.axis] - mirror.at) <= max(ON_PLANE * diagonal, ROUNDING * farthest)
-        centers[on_plane, mirror.axis] = mirror.at
+        on_plane, centers = mirror.on_plane(centers), mirror.snapped(centers)
     return Setup(
         centers=centers,
         kernel=_kernel(record),
@@ -246,11 +229,11 @@ def _kernel(record: Record) -> Kernel:
 
 
 def _mirror(record: Record) -> Mirror | None:
-    told = record.summary.get("symmetry")
-    if told is None:
+    plane = record.summary.get("symmetry")
+    if plane is None:
         return None
-    axis, at = (told.get("axis"), told.get("at")) if isinstance(told, dict) else (None, None)
+    axis, at = (plane.get("axis"), plane.get("at")) if isinstance(plane, dict) else (None, None)
     axes = ["x", "y", "z"][: record.vertices.shape[1]]
     if axis not in axes or not isinstance(at, int | float) or not np.isfinite(at):
-        raise UserError(f"summary.json: symmetry={told} is not an axis ({', '.join(axes)}) and a number, at")
-    return Mirror(axes.index(axis), float(at))
+        raise UserError(f"summary.json: symmetry={plane} is not an axis ({', '.join(axes)}) and a number, at")
+    return Mirror.of_box(axes.index(axis), float(at), record.lower, record.upper)

@@ -1,16 +1,58 @@
-"""From control points to the deformation matrix U of X' = X + U P (paper, eqs. 2 to 5)."""
+"""From setups to the deformation matrix U of X' = X + U P (paper, eqs. 2 to 5)."""
 
 from __future__ import annotations
 
+from typing import Any
+
+import torch
 from torch import Tensor, nn
 
 from rbfevo.choices import MANIPULATIONS, refuse_others
-from rbfevo.scoring.images import Image, values
+from rbfevo.errors import UserError
 from rbfevo.scoring.kernels import Kernel
 from rbfevo.scoring.matrices import solve
+from rbfevo.scoring.representations import RBF, Representation
+from rbfevo.scoring.representations.rbf import Image
 
 
-class RBFDeformation(nn.Module):
+class Deformation(nn.Module):
+    """The deformation of a design in one representation, under one manipulation: setups [*pop, *setup] -> Phi and U.
+
+    Args:
+        vertices: [n, d], model units.
+        representation: what makes columns of a setup.
+        manipulation: `indirect` or `direct`.
+
+    Raises:
+        UserError: if the manipulation is unknown, or the representation does not offer it.
+    """
+
+    def __init__(self, vertices: Tensor, representation: Representation, manipulation: str = "indirect") -> None:
+        super().__init__()
+        refuse_others("manipulation", manipulation, MANIPULATIONS)
+        if manipulation not in representation.manipulations:
+            offered = " or ".join(representation.manipulations)
+            raise UserError(f"manipulation={manipulation}: representation={representation.name} offers {offered}")
+        self.register_buffer("vertices", vertices)
+        self.vertices: Tensor
+        self.kernel: Any = representation.kernel if isinstance(representation, RBF) else None
+        self.representation = representation
+        self.manipulation = manipulation
+
+    def phi(self, setups: Tensor) -> Tensor:
+        """Phi [*pop, n, r] at the vertices."""
+        return self.representation.phi(self.vertices, setups)
+
+    def forward(self, setups: Tensor) -> Tensor:
+        """U [*pop, n, m]; setups for which W does not exist come out as NaN instead of raising."""
+        phi = self.phi(setups)
+        flat, one = phi.reshape(-1, *phi.shape[-2:]), setups.reshape(-1, *setups.shape[-self.representation.dims :])
+        every = [self.representation.matrix(p, s, self.manipulation) for p, s in zip(flat, one, strict=True)]
+        return torch.stack([torch.full_like(p, torch.nan) if u is None else u for p, u in zip(flat, every, strict=True)]
+                           ).reshape(*phi.shape[:-2], *phi.shape[-2:])  # fmt: skip
+
+
+class RBFDeformation(Deformation):
     """The RBF deformation of a design: centers [*pop, m, d] -> U [*pop, n, m].
 
     Indirect manipulation moves the weights, U = Phi (eq. 2); direct manipulation moves the centers, U = Phi Psi^-1
@@ -29,31 +71,27 @@ class RBFDeformation(nn.Module):
     def __init__(
         self, vertices: Tensor, kernel: Kernel, manipulation: str = "indirect", image: Image | None = None
     ) -> None:
-        super().__init__()
-        refuse_others("manipulation", manipulation, MANIPULATIONS)
-        self.register_buffer("vertices", vertices)
-        self.vertices: Tensor
-        self.kernel = kernel
-        self.manipulation = manipulation
-        self.image = image
-
-    def columns(self, points: Tensor, centers: Tensor) -> Tensor:
-        """Phi at other points [*pop, q, d] than the vertices, [*pop, q, m]."""
-        return values(self.kernel, centers, points, self.image).mT
-
-    def phi(self, centers: Tensor) -> Tensor:
-        """Phi_ij = phi(|c_j - x_i|), [*pop, n, m]."""
-        return self.columns(self.vertices, centers)
+        super().__init__(vertices, RBF(kernel, image), manipulation)
+        self.rbf = RBF(kernel, image)
 
     def psi(self, centers: Tensor) -> Tensor:
         """Psi_ij = phi(|c_j - c_i|), [*pop, m, m], symmetric."""
-        return self.columns(centers, centers)
+        return self.rbf.psi(centers)
 
-    def forward(self, centers: Tensor) -> Tensor:
+    def forward(self, setups: Tensor) -> Tensor:
         """U [*pop, n, m]; direct setups with a singular Psi come out as infinite or NaN instead of raising."""
-        phi = self.phi(centers)
+        phi = self.phi(setups)
         if self.manipulation == "indirect":
             return phi
         n, m = phi.shape[-2:]
-        solution = solve(self.psi(centers).reshape(-1, m, m), phi.reshape(-1, n, m).mT)  # U Psi = Phi, Psi = Psi^T
+        solution = solve(self.psi(setups).reshape(-1, m, m), phi.reshape(-1, n, m).mT)  # U Psi = Phi, Psi = Psi^T
         return solution.mT.reshape(phi.shape)
+
+
+def deformation_of(vertices: Tensor, of: Kernel | Representation, manipulation: str) -> Deformation:
+    """The deformation in a representation, or in that by RBFs of a kernel."""
+    if isinstance(of, Kernel):
+        return RBFDeformation(vertices, of, manipulation)
+    if isinstance(of, RBF):
+        return RBFDeformation(vertices, of.kernel, manipulation, of.image)
+    return Deformation(vertices, of, manipulation)

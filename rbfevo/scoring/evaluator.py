@@ -14,13 +14,13 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.scoring.deformation import RBFDeformation
-from rbfevo.scoring.evolvability import EPS, Scores, cutoff, score, singular
+from rbfevo.scoring.deformation import deformation_of
+from rbfevo.scoring.evolvability import EPS, Scores, cutoff, score
 from rbfevo.scoring.gradients import Spectrum
 from rbfevo.scoring.gram import GramAccumulator
-from rbfevo.scoring.images import Image
 from rbfevo.scoring.kernels import Kernel
-from rbfevo.scoring.matrices import cholesky, left_singular, product, singular_values, solve, solve_lower
+from rbfevo.scoring.matrices import cholesky, left_singular, product, singular_values, solve_lower
+from rbfevo.scoring.representations import Representation
 from rbfevo.scoring.threads import coarse
 
 TRIGGER = 3e-5  # below this R(Phi), G has lost too many digits: eps / TRIGGER^2 is 2e-7
@@ -70,13 +70,11 @@ class Evaluator:
     Args:
         vertices: [n, d] float64, model units.
         gradient: g [n, k], of unit (weighted) Frobenius norm.
-        kernel: phi.
+        kernel: phi of the representation by RBFs, or any other representation.
         manipulation: `indirect` or `direct`.
         weights: [n] positive, or None for ones.
         backend: `auto`, `fused` or `eager`, see `GramAccumulator`.
         block: vertices a block, or None.
-        image: what mirror images of the centers add to the columns of U (`rbfevo.scoring.symmetric` puts the
-            parts together).
 
     Attributes:
         evaluations: setups scored so far; failed_evaluations: those with non-finite centers or scores.
@@ -88,17 +86,17 @@ class Evaluator:
         self,
         vertices: Tensor,
         gradient: Tensor,
-        kernel: Kernel,
+        kernel: Kernel | Representation,
         manipulation: str = "indirect",
         weights: Tensor | None = None,
         backend: str = "auto",
         block: int | None = None,
-        image: Image | None = None,
     ) -> None:
-        self.deformation = RBFDeformation(vertices, kernel, manipulation, image)
+        self.deformation = deformation_of(vertices, kernel, manipulation)
+        self.representation = self.deformation.representation
         self.gradient = gradient
         self.weights = torch.ones_like(vertices[:, 0]) if weights is None else weights
-        self.gram = GramAccumulator(vertices, gradient, self.weights, kernel, backend, block, image)
+        self.gram = GramAccumulator(vertices, gradient, self.weights, self.representation, backend, block)
         self.evaluations = self.failed_evaluations = self.gradients = self.further_passes = self.factorizations = 0
 
     @property
@@ -122,24 +120,23 @@ class Evaluator:
         Raises:
             UserError: if the shape does not fit the design.
         """
-        n, d = self.deformation.vertices.shape
-        if centers.ndim < 2 or centers.shape[-1] != d or centers.shape[-2] < 1:
-            raise UserError(f"centers must have shape [*pop, m, {d}] with m >= 1, not {list(centers.shape)}")
-        m = centers.shape[-2]
+        (n, d), dims = self.deformation.vertices.shape, self.representation.dims
+        self.representation.refuse(centers, d)
+        m = self.representation.columns(centers)
         if m > n:
             raise UserError(f"{m} centers are more than the design's {n} vertices; use fewer centers")
-        setups = centers.reshape(-1, m, d).to(self.deformation.vertices.dtype)
-        finite = torch.isfinite(setups).all(-1).all(-1)
-        setups = torch.where(finite[:, None, None], setups, 0.0)
+        setups = centers.reshape(-1, *centers.shape[-dims:]).to(self.deformation.vertices.dtype)
+        finite = torch.isfinite(setups).flatten(1).all(1)
+        setups = zeroed(setups, finite)
         regularity, potential, rank = self._score(setups, finite)
         failed = ~(finite & torch.isfinite(regularity) & torch.isfinite(potential))
         zero = torch.zeros_like(regularity)
         self.evaluations += len(setups)
         self.failed_evaluations += int(failed.sum())
         variability = rank.to(regularity.dtype) / n
-        columns = (torch.where(failed, zero, c) for c in (regularity, potential.clamp(0.0, 1.0), variability))
-        regularity, potential, variability = (c.reshape(centers.shape[:-2]) for c in columns)
-        return Scores(regularity, potential, variability, failed.reshape(centers.shape[:-2]))
+        found = (torch.where(failed, zero, c) for c in (regularity, potential.clamp(0.0, 1.0), variability))
+        regularity, potential, variability = (c.reshape(centers.shape[:-dims]) for c in found)
+        return Scores(regularity, potential, variability, failed.reshape(centers.shape[:-dims]))
 
     def spectrum(self, centers: Tensor) -> Spectrum:
         """Singular values of U and P of centers [p, m, d], ready for gradients."""
@@ -147,7 +144,7 @@ class Evaluator:
 
     def factors(self, setups: Tensor, finite: Tensor) -> Factors:
         """Triangular factors of finite setups [p, m, d]; those that are not usable get an identity."""
-        m = setups.shape[1]
+        m = self.representation.columns(setups)
         M = self.gram(setups)
         usable = finite & torch.isfinite(M).flatten(1).all(1)
         M = torch.where(usable[:, None, None], M, torch.eye(M.shape[-1], dtype=M.dtype, device=M.device))
@@ -185,32 +182,24 @@ class Evaluator:
 
     def singular(self, setups: Tensor, finite: Tensor) -> Singular:
         """Extreme singular values of U, P and rank of finite setups [p, m, d]."""
-        L, _, potential, rank, usable, _ = self.factors(setups, finite)
-        lost = rank < setups.shape[1]
-        if self.deformation.manipulation == "direct":
-            L, _, undetermined = self.direct(setups, L)
+        L, y, potential, rank, usable, _ = self.factors(setups, finite)
+        lost = rank < L.shape[1]
+        if self.deformation.manipulation != "indirect":
+            L, _, undetermined = self.representation.reduce(setups, L, self.deformation.manipulation)
             lost |= undetermined
+            if L.shape[1] != L.shape[2]:  # fewer parameters than columns: they reach less
+                left, sigma = left_singular(L.mT)
+                kept = sigma > cutoff(len(self.deformation.vertices), L.shape[1]) * sigma[:, :1]
+                potential = torch.where(kept[:, :, None], product(left.mT, y), 0.0).square().sum((1, 2))
+                return Singular(sigma[:, 0], sigma[:, -1], lost | ~kept.all(1), potential, kept.sum(1), usable)
         sigma = singular_values(L)
         return Singular(sigma[:, 0], sigma[:, -1], lost, potential, rank, usable)
-
-    def direct(self, setups: Tensor, L: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Psi^-1 L [p, m, m], whose singular values are those of Phi Psi^-1, Psi^-1, and where Psi is singular [p].
-
-        Where it is, both matrices are the identity.
-        """
-        m = setups.shape[1]
-        Psi = self.deformation.psi(setups)
-        identity = torch.eye(m, dtype=Psi.dtype, device=Psi.device)
-        solution = solve(Psi, torch.cat((L, identity.expand_as(L)), dim=2))  # Psi = Psi^T
-        lost = singular(Psi, solution[:, :, m:]) | ~torch.isfinite(solution).flatten(1).all(1)
-        solution = torch.where(lost[:, None, None], torch.cat((identity, identity), dim=1), solution)
-        return solution[:, :, :m], solution[:, :, m:], lost
 
     def _refine(
         self, setups: Tensor, G: Tensor, L: Tensor, sound: Tensor, empty: Tensor
     ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Triangular factor T, T^-1 b, P, rank and deficiency of ill-conditioned setups by CholeskyQR2, else by QR."""
-        (n, _), m = self.deformation.vertices.shape, setups.shape[1]
+        (n, _), m = self.deformation.vertices.shape, G.shape[1]
         identity = torch.eye(m, dtype=G.dtype, device=G.device)
         shift = 11.0 * (m * n + m * (m + 1)) * EPS * G.diagonal(dim1=1, dim2=2).sum(1)
         shifted, _ = cholesky(G + shift[:, None, None] * identity)
@@ -245,19 +234,24 @@ class Evaluator:
     def _factorize(self, setups: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Triangular factor, P and rank by blocked Householder QR of (Phi g), as good as an SVD of Phi."""
         vertices = self.deformation.vertices
-        (n, _), (p, m, _), k = vertices.shape, setups.shape, self.gradient.shape[1]
+        n, p, m, k = len(vertices), len(setups), self.representation.columns(setups), self.gradient.shape[1]
         roots = self.weights.sqrt()[:, None]
         R = torch.zeros(p, m + k, m + k, dtype=setups.dtype, device=setups.device)
         for e in range(p):  # one at a time: a batch of QR runs no faster and needs p times the memory
             for begin in range(0, n, QR_ROWS):
                 rows = slice(begin, begin + QR_ROWS)
-                Phi = self.deformation.columns(vertices[rows], setups[e])
+                Phi = self.representation.phi(vertices[rows], setups[e])
                 block = roots[rows] * torch.cat((Phi, self.gradient[rows]), dim=1)
                 R[e] = torch.linalg.qr(torch.cat((R[e], block)), mode="r")[1]
         left, sigma = left_singular(R[:, :m, :m])
         kept = sigma > cutoff(n, m) * sigma[:, :1]
         potential = torch.where(kept[:, :, None], product(left.mT, R[:, :m, m:]), 0.0).square().sum((1, 2))
         return R[:, :m, :m].mT, potential, kept.sum(1)
+
+
+def zeroed(setups: Tensor, kept: Tensor) -> Tensor:
+    """Setups [p, *setup] with zeros in the place of those that are not `kept` [p]."""
+    return torch.where(kept.view(-1, *(1,) * (setups.ndim - 1)), setups, 0.0)
 
 
 def decoupled(G: Tensor) -> tuple[Tensor, Tensor]:

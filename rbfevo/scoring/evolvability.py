@@ -16,7 +16,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rbfevo.scoring.deformation import RBFDeformation
+from rbfevo.scoring.deformation import Deformation
 from rbfevo.scoring.threads import coarse, run_in_slices
 
 EPS = torch.finfo(torch.float64).eps
@@ -90,17 +90,18 @@ def singular(Psi: Tensor, inverse: Tensor) -> Tensor:
     return ~(condition < 1.0 / (Psi.shape[-1] * EPS))
 
 
-def score(deformation: RBFDeformation, centers: Tensor, gradient: Tensor, weights: Tensor | None = None) -> Scores:
+def score(deformation: Deformation, centers: Tensor, gradient: Tensor, weights: Tensor | None = None) -> Scores:
     """Score setups by definition, one at a time so that no stored U is larger than n x m.
 
     Args:
-        deformation: vertices, kernel and manipulation.
-        centers: [*pop, m, d]; any values, NaN and infinity too.
+        deformation: vertices, representation and manipulation.
+        centers: setups [*pop, *setup], of RBFs [*pop, m, d]; any values, NaN and infinity too.
         gradient, weights: as for `evolvability`.
 
     Non-finite setups fail; a rank below m has R = 0; a direct setup with singular Psi has R = 0, and V and P of Phi.
     """
-    flat = centers.detach().reshape(-1, *centers.shape[-2:])
+    dims = deformation.representation.dims
+    flat = centers.detach().reshape(-1, *centers.shape[-dims:])
     columns = torch.zeros(4, flat.shape[0], dtype=centers.dtype, device=centers.device)
 
     def work(begin: int, end: int) -> None:
@@ -108,24 +109,24 @@ def score(deformation: RBFDeformation, centers: Tensor, gradient: Tensor, weight
             columns[:, i] = torch.stack(_score_one(deformation, flat[i], gradient, weights))
 
     run_in_slices(work, len(flat))
-    regularity, potential, variability, failed = columns.reshape(4, *centers.shape[:-2])
+    regularity, potential, variability, failed = columns.reshape(4, *centers.shape[:-dims])
     return Scores(regularity, potential, variability, failed > 0)
 
 
-def _score_one(deformation: RBFDeformation, setup: Tensor, gradient: Tensor, weights: Tensor | None) -> list[Tensor]:
+def _score_one(deformation: Deformation, setup: Tensor, gradient: Tensor, weights: Tensor | None) -> list[Tensor]:
     zero = torch.zeros((), dtype=setup.dtype, device=setup.device)
     failure = [zero, zero, zero, zero + 1]
     Phi = deformation.phi(setup)
     if not (torch.isfinite(setup).all() and torch.isfinite(Phi).all()):
         return failure
     regularity, potential, variability = evolvability(Phi, gradient, weights)
-    if deformation.manipulation == "direct" and regularity > 0:
-        Psi = deformation.psi(setup)
-        inverse, _ = torch.linalg.inv_ex(Psi)
-        if singular(Psi, inverse):
+    if deformation.manipulation != "indirect" and regularity > 0:
+        U = deformation.representation.matrix(Phi, setup, deformation.manipulation)
+        if U is None:
             regularity = zero
+        elif U.shape != Phi.shape:  # fewer parameters than columns: they reach less
+            regularity, potential, variability = evolvability(U, gradient, weights)
         else:
-            U = torch.linalg.solve(Psi.mT, Phi.mT).mT
             U = U if weights is None else weights.sqrt()[:, None] * U
             sigma = torch.linalg.svdvals(U)
             regularity = sigma[-1] / sigma[0]

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from rbfevo.scoring.deformation import RBFDeformation
-from rbfevo.scoring.distances import distances
+from rbfevo.errors import UserError
 from rbfevo.scoring.matrices import gram, left_singular, product, solve_lower
+from rbfevo.scoring.representations import Pull
 from rbfevo.scoring.threads import coarse
 
 if TYPE_CHECKING:
@@ -37,18 +37,22 @@ class Spectrum:
         """Take centers [p, m, d]; any values."""
         finite = torch.isfinite(centers).flatten(1).all(1)
         self.evaluator = evaluator
-        self.centers = torch.where(finite[:, None, None], centers.detach(), 0.0)
+        self.centers = torch.where(finite.view(-1, *(1,) * (centers.ndim - 1)), centers.detach(), 0.0)
         T, self._y, potential, rank, usable, deficient = evaluator.factors(self.centers, finite)
-        m = centers.shape[1]
+        m = T.shape[1]
         evaluator.evaluations += len(centers)
         evaluator.failed_evaluations += int((~usable).sum())
         self._T, self._inverse = T, None
         self.improvable = usable & ~deficient
         self.potential = torch.where(usable, potential.clamp(0.0, 1.0), 0.0)
         self.regular = self.improvable & (rank == m)
-        if evaluator.deformation.manipulation == "direct":
-            T, self._inverse, lost = evaluator.direct(self.centers, T)
+        if evaluator.deformation.manipulation != "indirect":
+            T, self._inverse, lost = evaluator.representation.reduce(
+                self.centers, T, evaluator.deformation.manipulation
+            )
             self.regular &= ~lost
+            if T.shape[1] != T.shape[2]:
+                raise UserError(f"representation={evaluator.representation.name} has no gradients if direct")
         identity = torch.eye(m, dtype=T.dtype, device=T.device)
         self._V, self.sigma = left_singular(torch.where(self.regular[:, None, None], T, identity))
 
@@ -64,7 +68,7 @@ class Spectrum:
 
         Finite for every setup; 0 where the setup has no regularity or is not improvable.
         """
-        m, k = self.centers.shape[1], self._y.shape[2]
+        m, k = self._y.shape[1:]
         self.evaluator.gradients += len(self.centers)
         dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
         dpotential = torch.where(self.improvable, dpotential, 0.0)[:, None, None]
@@ -76,21 +80,13 @@ class Spectrum:
         dM[:, :m, m:] = 2.0 * dpotential * w
         gradient = self.evaluator.gram.backward(self.centers, dM)
         if self._inverse is not None:
-            dPsi = -product(self._V * dlog_sigma[:, None, :], Z.mT)
-            gradient += _psi_backward(self.evaluator.deformation, self.centers, dPsi + dPsi.mT)
-        return torch.where(torch.isfinite(gradient).flatten(1).all(1)[:, None, None], gradient, 0.0)
-
-
-def _psi_backward(deformation: RBFDeformation, C: Tensor, S: Tensor) -> Tensor:
-    """Gradient [p, m, d] in the centers C [p, m, d] of a function of Psi whose gradient, plus its transpose, is S."""
-    H = S * deformation.kernel.slope(distances(C, C))
-    gradient = H.sum(2, keepdim=True) * C - product(H, C)
-    if deformation.image is not None:  # |c_j' - c_i| = |c_j - c_i'|: both centers of an entry are pulled alike
-        mirror, sign = deformation.image
-        images = mirror.image(C)
-        H = sign * S * deformation.kernel.slope(distances(C, images))
-        gradient += H.sum(2, keepdim=True) * C - product(H, images)
-    return gradient
+            representation = self.evaluator.representation
+            found = representation.pull_reduction(self.centers, Pull(self._V * dlog_sigma[:, None, :], Z))
+            if found is None:
+                raise UserError(f"representation={representation.name} has no gradients if direct")
+            gradient += found
+        sound = torch.isfinite(gradient).flatten(1).all(1)
+        return torch.where(sound.view(-1, *(1,) * (gradient.ndim - 1)), gradient, 0.0)
 
 
 class _Scores(torch.autograd.Function):
@@ -118,5 +114,6 @@ def differentiable_scores(evaluator: Evaluator, centers: Tensor) -> tuple[Tensor
     regularity), and no gradient of P where it is numerically rank-deficient. Where sigma_min or sigma_max is multiple,
     R has no gradient; one of its generalized gradients is returned (`Spectrum` allows smooth functions of all sigma).
     """
-    regularity, potential = _Scores.apply(centers.reshape(-1, *centers.shape[-2:]), evaluator)
-    return regularity.reshape(centers.shape[:-2]), potential.reshape(centers.shape[:-2])
+    dims = evaluator.representation.dims
+    regularity, potential = _Scores.apply(centers.reshape(-1, *centers.shape[-dims:]), evaluator)
+    return regularity.reshape(centers.shape[:-dims]), potential.reshape(centers.shape[:-dims])

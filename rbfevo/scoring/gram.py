@@ -16,9 +16,9 @@ from rbfevo.errors import UserError
 from rbfevo.geometry.blocks import VertexBlocks, vertex_blocks
 from rbfevo.scoring import matrices
 from rbfevo.scoring.distances import distances
-from rbfevo.scoring.images import Image, values
 from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
 from rbfevo.scoring.matrices import product, solve_lower
+from rbfevo.scoring.representations import RBF, Representation
 from rbfevo.scoring.threads import coarse, run_in_slices
 
 FUSED_BLOCK = 1024  # m = 25 rows of 1024 float64 are 200 KiB: half of a usual second-level cache
@@ -44,10 +44,9 @@ class GramAccumulator:
 
     Args:
         vertices: [n, d]; gradient: [n, k]; weights: [n] (rows of Phi and g count with sqrt(weights)).
-        kernel: phi.
+        representation: what makes columns of a setup; RBFs of the kernels of `rbfevo.scoring.fused` run there.
         backend: `fused` (numba, CPU), `eager` (plain torch, any device), or `auto`: fused where it can run.
         block: vertices a block, or None for the backend's own choice.
-        image: what mirror images of the centers add to the columns of Phi, or None.
 
     Raises:
         UserError: for an unknown backend, or where `fused` is asked for and cannot run.
@@ -58,19 +57,20 @@ class GramAccumulator:
         vertices: Tensor,
         gradient: Tensor,
         weights: Tensor,
-        kernel: Kernel,
+        representation: Representation | Kernel,
         backend: str = "auto",
         block: int | None = None,
-        image: Image | None = None,
     ) -> None:
         refuse_others("evaluator", backend, EVALUATORS)
-        code = _fused_code(vertices, kernel)
+        self.representation = RBF(representation) if isinstance(representation, Kernel) else representation
+        self._rbf = self.representation if isinstance(self.representation, RBF) else None
+        code = None if self._rbf is None else _fused_code(vertices, self._rbf.kernel)
         possible = code is not None
         if backend == "fused" and not possible:
             raise UserError("evaluator=fused needs numba, the CPU and float64; use evaluator=eager")
         self.backend = "fused" if possible and backend != "eager" else "eager"
-        self.kernel = kernel
-        self.image = image
+        self._image = None if self._rbf is None else self._rbf.image
+        self._support = 0.0 if self._rbf is None else self._rbf.kernel.support or 0.0
         self.code = -1 if code is None else code
         device = vertices.device
         self.size = block or (FUSED_BLOCK if self.backend == "fused" else EAGER_BLOCK.get(device.type, 1024))
@@ -81,7 +81,7 @@ class GramAccumulator:
         self._gg = (gg + gg.T) / 2.0  # to the bit: some processors round the two halves differently
 
     def __call__(self, centers: Tensor, factor: Tensor | None = None) -> Tensor:
-        """M [p, m+k, m+k] for finite centers [p, m, d] and, if given, factors T [p, m, m].
+        """M [p, m+k, m+k] for finite setups, as centers [p, m, d], and, if given, factors T [p, m, m].
 
         The centers may be on the host while the vertices are on a GPU: then M comes back to the host, which is the only
         time that the host waits for the GPU.
@@ -96,7 +96,7 @@ class GramAccumulator:
 
         dPhi = Phi (dG + dG^T) + g db^T; dc_j = sum_i dPhi_ij phi'(r_ij)/r_ij (c_j - x_i).
         """
-        m = centers.shape[1]
+        m = self.representation.columns(centers)
         S = dM + dM.mT
         run = self._backward_fused if self.backend == "fused" else self._backward_eager
         device = self.blocks.X.device
@@ -115,8 +115,7 @@ class GramAccumulator:
 
         def work(begin: int, end: int) -> None:
             C, mirrored, left, right, into = (array[begin:end] for array in arrays)
-            support = self.kernel.support or 0.0
-            fused.gram_backward(C, mirrored, sign, axis, *fixed, self.code, support, left, right, into)
+            fused.gram_backward(C, mirrored, sign, axis, *fixed, self.code, self._support, left, right, into)
 
         run_in_slices(work, len(centers))
         return out
@@ -128,17 +127,10 @@ class GramAccumulator:
             for chunk in self._chunks(centers, first, last):
                 C = centers[chunk]
                 for X, W, g in self._pieces:
-                    r = distances(C, X.T)
-                    rows = self.kernel(r) if self.image is None else values(self.kernel, C, X.T, self.image)
-                    H = product(dG[chunk], rows * W) + product(db[chunk], g)
-                    pull = H * self.kernel.slope(r) * W
-                    out[chunk] += pull.sum(2, keepdim=True) * C - product(pull, X.T)
-                    if self.image is not None:
-                        mirrored = self.image.mirror.image(C)
-                        pull = H * self.kernel.slope(distances(mirrored, X.T)) * W
-                        through = self.image.sign * (pull.sum(2, keepdim=True) * mirrored - product(pull, X.T))
-                        through[..., self.image.mirror.axis].neg_()
-                        out[chunk] += through
+                    rows = self.representation.phi(X.T, C).mT
+                    H = (product(dG[chunk], rows * W) + product(db[chunk], g)) * W
+                    found = self.representation.pull(X.T, C, H)
+                    out[chunk] += self._recomputed(X.T, C, H) if found is None else found
 
         self._in_slices(work, len(centers), centers)
         return out
@@ -155,25 +147,23 @@ class GramAccumulator:
         T = torch.empty(0, m, m, dtype=centers.dtype).numpy() if factor is None else factor.contiguous().numpy()
         b = self.blocks
         fixed = (b.X.numpy(), b.W.numpy(), b.g.numpy(), b.starts.numpy(), b.low.numpy(), b.high.numpy())
-        support = self.kernel.support or 0.0
 
         def work(begin: int, end: int) -> None:
             part = T if factor is None else T[begin:end]
-            fused.gram(C[begin:end], mirrored[begin:end], sign, *fixed, self.code, support, part, out[begin:end])
+            fused.gram(C[begin:end], mirrored[begin:end], sign, *fixed, self.code, self._support, part, out[begin:end])
 
         run_in_slices(work, p)
         M[:, m:, m:] = self._gg  # the kernel skips blocks that no center reaches
         return M
 
     def _run_eager(self, centers: Tensor, factor: Tensor | None) -> Tensor:
-        p, m, _ = centers.shape
-        k = self.blocks.g.shape[0]
+        p, m, k = len(centers), self.representation.columns(centers), self.blocks.g.shape[0]
         M = torch.zeros(p, m + k, m + k, dtype=centers.dtype, device=centers.device)
 
         def work(first: int, last: int) -> None:
             for chunk in self._chunks(centers, first, last):
                 for X, W, g in self._pieces:
-                    rows = values(self.kernel, centers[chunk], X.T, self.image) * W
+                    rows = self.representation.phi(X.T, centers[chunk]).mT * W
                     if factor is not None:
                         rows = solve_lower(factor[chunk], rows)
                     rows = torch.cat((rows, g.expand(len(rows), -1, -1)), dim=1)
@@ -181,6 +171,13 @@ class GramAccumulator:
 
         self._in_slices(work, p, centers)
         return M
+
+    def _recomputed(self, points: Tensor, setups: Tensor, gradient: Tensor) -> Tensor:
+        """Gradient [p, *setup] of a function whose gradient in Phi^T is [p, r, q], by autograd."""
+        with torch.enable_grad():
+            leaf = setups.detach().requires_grad_()
+            rows = self.representation.phi(points, leaf).mT
+            return torch.autograd.grad(rows, leaf, gradient)[0]
 
     @functools.cached_property
     def _pieces(self) -> list[tuple[Tensor, Tensor, Tensor]]:
@@ -191,13 +188,13 @@ class GramAccumulator:
 
     def _images(self, centers: Tensor) -> tuple[Tensor, float, int]:
         """Mirror images of the centers, their sign, and the axis; the centers themselves and 0 where there are none."""
-        if self.image is None:
+        if self._image is None:
             return centers, 0.0, 0
-        return self.image.mirror.image(centers), self.image.sign, self.image.mirror.axis
+        return self._image.mirror.image(centers), self._image.sign, self._image.mirror.axis
 
     def _chunks(self, centers: Tensor, first: int, last: int) -> list[slice]:
         """Slices of the population from first to last whose rows over one block fit an eager step's memory."""
-        size = 8 * (centers.shape[1] + self.blocks.g.shape[0]) * self.size
+        size = 8 * (self.representation.columns(centers) + self.blocks.g.shape[0]) * self.size
         step = max(1, self._bytes // size)
         return [slice(begin, min(begin + step, last)) for begin in range(first, last, step)]
 

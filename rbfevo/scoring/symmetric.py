@@ -9,7 +9,6 @@ own components of g. V is that of the block along the plane, m/n at best.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -17,12 +16,11 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.scenarios.scenario import Scenario
-from rbfevo.scoring.deformation import RBFDeformation
 from rbfevo.scoring.evaluator import Evaluator, Singular
-from rbfevo.scoring.evolvability import Scores, projection, singular
+from rbfevo.scoring.evolvability import Scores, projection
 from rbfevo.scoring.gradients import Spectrum
-from rbfevo.scoring.images import Image
 from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.representations import RBF, Representation
 from rbfevo.scoring.threads import coarse, run_in_slices
 
 
@@ -40,7 +38,7 @@ class MirroredEvaluator(Evaluator):
         self,
         vertices: Tensor,
         gradient: Tensor,
-        kernel: Kernel,
+        kernel: Kernel | Representation,
         manipulation: str = "indirect",
         weights: Tensor | None = None,
         backend: str = "auto",
@@ -55,11 +53,15 @@ class MirroredEvaluator(Evaluator):
         self.weights = torch.ones_like(vertices[:, 0]) if weights is None else weights
         across = [mirror.axis]
         along = [axis for axis in range(vertices.shape[1]) if axis != mirror.axis]
+        whole = RBF(kernel) if isinstance(kernel, Kernel) else kernel
+        pair = whole.symmetric(mirror)
+        if pair is None:
+            raise UserError(f"scenario.symmetry: representation={whole.name} has no symmetric setups")
         self.along, self.across = (
-            Evaluator(vertices, gradient[:, axes], kernel, manipulation, weights, backend, block, Image(mirror, sign))
-            for axes, sign in ((along, 1.0), (across, -1.0))
+            Evaluator(vertices, gradient[:, axes], part, manipulation, weights, backend, block)
+            for axes, part in zip((along, across), pair, strict=True)
         )
-        self.deformation = self.along.deformation
+        self.deformation, self.representation = self.along.deformation, self.along.representation
         self.gram = self.along.gram
         self.evaluations = self.failed_evaluations = self.gradients = 0
 
@@ -104,9 +106,10 @@ class MirroredEvaluator(Evaluator):
             sigma, kept, left = projection(Phi, part.gradient, self.weights)
             rest, lost = rest + left, lost or not bool(kept.all())
             rank = int(kept.sum()) if part is self.along else rank
-            if self.deformation.manipulation == "direct" and not lost:
-                sigma, undetermined = _direct_values(part.deformation, centers, Phi, roots)
-                lost = lost or undetermined
+            if self.deformation.manipulation != "indirect" and not lost:
+                U = part.representation.matrix(Phi, centers, self.deformation.manipulation)
+                sigma = torch.ones_like(Phi[0]) if U is None else torch.linalg.svdvals(roots * U)
+                lost = lost or U is None
             sigmas.append(sigma)
         every = torch.cat(sigmas)
         regularity = 0.0 if lost or not bool(every.amax() > 0) else float(every.amin() / every.amax())
@@ -201,16 +204,9 @@ class MirroredSpectrum(Spectrum):
         return gradient
 
 
-def evaluator_of(scenario: Scenario, kernel: Kernel, manipulation: str, backend: str = "auto") -> Evaluator:
+def evaluator_of(
+    scenario: Scenario, kernel: Kernel | Representation, manipulation: str, backend: str = "auto"
+) -> Evaluator:
     """The evaluator of a scenario's design, of symmetric setups where the scenario is symmetric."""
     design = (scenario.vertices, scenario.gradient, kernel, manipulation, scenario.weights, backend)
     return Evaluator(*design) if scenario.mirror is None else MirroredEvaluator(*design, mirror=scenario.mirror)
-
-
-def _direct_values(deformation: RBFDeformation, centers: Tensor, Phi: Tensor, roots: Tensor) -> tuple[Tensor, bool]:
-    """Singular values of Phi Psi^-1, rows weighted, and whether Psi is numerically singular."""
-    Psi = deformation.psi(centers)
-    inverse: Any = torch.linalg.inv_ex(Psi).inverse
-    if bool(singular(Psi, inverse)):
-        return torch.ones_like(Phi[0]), True
-    return torch.linalg.svdvals(roots * torch.linalg.solve(Psi.mT, Phi.mT).mT), False

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import abc
 import importlib
-import sys
 from typing import Any
-
-import numpy as np
 
 from rbfevo.errors import UserError
 
@@ -56,11 +53,6 @@ class Kernel(abc.ABC):
 
     def __call__(self, r: Any) -> Any:
         return self.phi(r)
-
-
-def namespace(r: Any) -> Any:
-    """The module whose functions take `r`: NumPy, or torch, which is there if `r` is one of its tensors."""
-    return np if isinstance(r, np.ndarray | np.generic | float | int) else sys.modules["torch"]
 
 
 def kernel_of(spec: dict[str, Any]) -> Kernel:

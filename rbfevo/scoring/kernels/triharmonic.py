@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from rbfevo.errors import UserError
-from rbfevo.scoring.kernels.kernel import Kernel, namespace
+from rbfevo.geometry.namespaces import namespace
+from rbfevo.scoring.kernels.kernel import Kernel
 
 
 class ThinPlate(Kernel):

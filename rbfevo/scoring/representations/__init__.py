@@ -1,0 +1,6 @@
+"""Representations of deformations: how a setup makes the columns of U; one file each, read without torch."""
+
+from rbfevo.scoring.representations.rbf import RBF, rbf
+from rbfevo.scoring.representations.representation import Pull, Reduced, Representation, Space, representation_of
+
+__all__ = ["RBF", "Pull", "Reduced", "Representation", "Space", "rbf", "representation_of"]

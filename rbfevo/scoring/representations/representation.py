@@ -1,0 +1,160 @@
+"""What a representation of deformations is: how a setup makes the columns of U, and where setups can be searched."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import importlib
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rbfevo.errors import UserError
+from rbfevo.geometry.mirror import Mirror
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
+
+    from rbfevo.scenarios.scenario import Scenario
+
+
+class Reduced(NamedTuple):
+    """What a manipulation makes of Phi = Q T^T, as U = Phi W: the factor T^T W, transposed, and W itself.
+
+    Attributes:
+        factor: [p, m, r] W^T T; weights: [p, r, m] W, or None for the identity.
+        singular: [p] where W does not exist; factor and weights are the identity there.
+    """
+
+    factor: Tensor
+    weights: Tensor | None
+    singular: Tensor
+
+
+class Pull(NamedTuple):
+    """A gradient in log sigma on its way through W: d log sigma_i = ... + u_i^T Phi dW v_i / sigma_i.
+
+    Attributes:
+        scaled: [p, m, m] right singular vectors v_i of U, each times the gradient in log sigma_i.
+        reduced: [p, r, m] Z = W V.
+    """
+
+    scaled: Tensor
+    reduced: Tensor
+
+
+@dataclasses.dataclass(frozen=True)
+class Space:
+    """Where the setups of one run are searched.
+
+    Attributes:
+        lower, upper: corners of the box, of the shape of one setup.
+        sample: (count, generator) -> that many random setups.
+        place: points of the box -> setups: what symmetry and fixed regions make of them.
+        pull: (points, gradient in their setups) -> gradient in the points.
+    """
+
+    lower: Tensor
+    upper: Tensor
+    sample: Callable[[int, torch.Generator], Tensor]
+    place: Callable[[Tensor], Tensor]
+    pull: Callable[[Tensor, Tensor], Tensor]
+
+
+class Representation(abc.ABC):
+    """How a setup makes U [n, m] of X' = X + U P: U = Phi W, with one row of Phi a vertex and W by the manipulation.
+
+    A setup is an array of `dims` dimensions: centers [m, d], or a genotype [D]. `phi` takes arrays of NumPy or tensors
+    of torch. A representation of one's own is a subclass in one file, with the name of a function (scenario, kernel,
+    centers, keys of the yaml) that makes it as `_target_` of a yaml in `conf/representation`. What it does not offer
+    (None, or a manipulation that is not listed) is refused in one line where it is asked for.
+
+    Attributes:
+        name: as on the command line.
+        dims: dimensions of one setup.
+        manipulations: those that it offers.
+        shape: of one setup, or None where any number of centers will do.
+    """
+
+    name: str = ""
+    dims: int = 1
+    manipulations: tuple[str, ...] = ("indirect",)
+    shape: tuple[int, ...] | None = None
+
+    @abc.abstractmethod
+    def phi(self, points: Any, setups: Any) -> Any:
+        """Phi [*pop, q, r] at points [q, d] of setups [*pop, *setup]."""
+
+    @abc.abstractmethod
+    def columns(self, setups: Any) -> int:
+        """r, the columns of Phi."""
+
+    @abc.abstractmethod
+    def spec(self) -> dict[str, Any]:
+        """Plain numbers and words, of which `target` is the class and the others are what its `of_spec` takes."""
+
+    @classmethod
+    def of_spec(cls, **numbers: Any) -> Representation:
+        """The representation that `spec` describes, without torch."""
+        return cls(**numbers)
+
+    def space(self, scenario: Scenario, centers: int) -> Space:
+        """Where setups of `centers` columns are searched on a scenario.
+
+        Raises:
+            UserError: if the representation cannot be searched there.
+        """
+        raise UserError(f"representation={self.name} cannot be searched")
+
+    def refuse(self, setups: Tensor, dimension: int) -> None:
+        """Raise UserError if setups [*pop, *setup] do not fit points with `dimension` coordinates."""
+        if self.shape is None or tuple(setups.shape[-self.dims :]) != self.shape:
+            raise UserError(f"setups of representation={self.name} have the shape {self.shape}, not {setups.shape}")
+
+    def handles(self, setups: Any) -> Any | None:
+        """Where the control points [*pop, h, d] sit, for pictures and export; None where there are none."""
+        return None
+
+    def reduce(self, setups: Tensor, factor: Tensor, manipulation: str) -> Reduced:
+        """W of setups [p, *setup] under a manipulation, applied to the lower triangular factor T [p, r, r] of Phi."""
+        import torch
+
+        return Reduced(factor, None, torch.zeros(len(setups), dtype=torch.bool, device=factor.device))
+
+    def matrix(self, phi: Tensor, setup: Tensor, manipulation: str) -> Tensor | None:
+        """U [n, m] of one setup by definition, from its Phi [n, r]; None where W does not exist."""
+        return phi
+
+    def pull(self, points: Tensor, setups: Tensor, gradient: Tensor) -> Tensor | None:
+        """Gradient [p, *setup] of a function whose gradient in Phi^T is [p, r, q]; None without a closed form."""
+        return None
+
+    def pull_reduction(self, setups: Tensor, through: Pull) -> Tensor | None:
+        """Gradient [p, *setup] of what reaches sigma through W; None without a closed form."""
+        return None
+
+    def symmetric(self, mirror: Mirror) -> tuple[Representation, Representation] | None:
+        """The columns for components along a plane of symmetry and for the one across it, or None."""
+        return None
+
+    def atoms(self, points: Tensor) -> Callable[[Tensor], Tensor] | None:
+        """The map from candidate centers [c, d] to their columns [n, c], for heuristics that place them; or None."""
+        return None
+
+
+def representation_of(spec: dict[str, Any]) -> Representation:
+    """The representation that `Representation.spec` describes.
+
+    Raises:
+        UserError: if its class cannot be imported, or does not take these numbers.
+    """
+    target, numbers = str(spec.get("target")), {key: value for key, value in spec.items() if key != "target"}
+    module, _, name = target.rpartition(".")
+    try:
+        found = getattr(importlib.import_module(module), name)
+        if isinstance(found, type) and issubclass(found, Representation):
+            return found.of_spec(**numbers)
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(f"the representation {target} of the run is not there ({reason}): install it") from None
+    raise UserError(f"{target} is no representation")
