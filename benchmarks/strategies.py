@@ -52,7 +52,7 @@ class Trial:
         words = ("method=gradient", f"method.starts={POPULATION}", f"method.population={POPULATION}", f"seed={seed}")
         self.run = Run(panel.settings(*words))
         self.problem = self.run.problem().coarsened(COARSE)
-        self.side = self.problem.upper - self.problem.lower
+        self.side = self.problem.space.upper - self.problem.space.lower
         self.archive = Archive(self.random(), limit=1000)
 
     def random(self) -> Tensor:
@@ -61,18 +61,18 @@ class Trial:
 
     def points(self, centers: Tensor) -> Tensor:
         """Centers [p, m, d] as points [p, D] of the unit box."""
-        return ((centers - self.problem.lower) / self.side).flatten(1).clamp(0.0, 1.0)
+        return ((centers - self.problem.space.lower) / self.side).flatten(1).clamp(0.0, 1.0)
 
     def centers(self, points: Tensor) -> Tensor:
         """Points as centers."""
-        return self.problem.lower + self.side * self.problem.unflatten(points)
+        return self.problem.space.lower + self.side * self.problem.unflatten(points)
 
     def heuristics(self) -> Tensor:
         """[POPULATION, D] a third random, a third scattered around Lloyd's setup, a third around that of OLS."""
         points = self.random()
         generator = self.problem.stream("strategies")
         lloyd = self.points(LloydHeuristic().place(self.problem))
-        ols = self.points(OlsHeuristic(30 if len(self.side) == 2 else 15).place(self.problem))
+        ols = self.points(OlsHeuristic(30 if self.side.shape[1] == 2 else 15).place(self.problem))
         noise = 0.05 * torch.rand(POPULATION, 1, generator=generator, dtype=points.dtype)
         noise = noise * torch.randn(points.shape, generator=generator, dtype=points.dtype)
         points[1::3], points[2::3] = lloyd + noise[1::3], ols + noise[2::3]

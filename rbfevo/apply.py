@@ -14,6 +14,7 @@ from rbfevo.arrays import Array
 from rbfevo.commands import parsers
 from rbfevo.commands.center_rows import read_rows
 from rbfevo.errors import UserError
+from rbfevo.recorded.moves import places_of
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import Setup, setup
@@ -65,7 +66,7 @@ def carry_out(options: argparse.Namespace) -> None:
     what, path = (
         ("weights", options.weights) if options.displacements is None else ("displacements", options.displacements)
     )
-    rows = read_rows(path, what, chosen.centers, heights=chosen.centers.shape[1] == 2)
+    rows = read_rows(path, what, places_of(chosen), heights=record.vertices.shape[1] == 2)
     try:
         chosen.refuse_across(rows, what.removesuffix("s"))
     except UserError as error:
@@ -73,7 +74,7 @@ def carry_out(options: argparse.Namespace) -> None:
     with np.errstate(over="ignore", invalid="ignore"), meshes.opened(options.mesh) as mesh:
         meshes.refuse_bad_points(options.mesh, mesh.points)
         weights = rows if what == "weights" else chosen.weights(rows)
-        displacement = chosen.displacement(mesh.points[:, : chosen.centers.shape[1]], weights)
+        displacement = chosen.displacement(mesh.points[:, : record.vertices.shape[1]], weights)
         moved = mesh.points + displacement
         if not np.isfinite(moved).all():
             raise UserError(f"--{what} {path}: with such large numbers the deformed points are not finite")
@@ -87,7 +88,7 @@ def carry_out(options: argparse.Namespace) -> None:
         notes = meshes.write(mesh, options.mesh, moved, displacement, options.out)
         centers = rows if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
-        largest = float(np.linalg.norm(centers, axis=1).max())
+        largest = float(np.linalg.norm(centers, axis=1).max(initial=0.0))
         for warning in [*warnings(record, chosen, mesh, moved, length, largest), *([turned] if turned else [])]:
             print(f"warning: {warning}", file=sys.stderr, flush=True)
     if not options.quiet:
@@ -112,29 +113,29 @@ def warnings(
     record: Record, chosen: Setup, mesh: meshes.Mesh, moved: Array, length: Array, largest: float
 ) -> Iterator[str]:
     """What may be wrong with a deformation, a line each: length [q] of the displacements, largest of a center."""
-    places = mesh.points[:, : chosen.centers.shape[1]]
+    places = mesh.points[:, : record.vertices.shape[1]]
     lowest, highest = places.min(axis=0), places.max(axis=0)
     apart = bool((lowest > record.upper).any() or (highest < record.lower).any())
-    if chosen.kernel.support is not None:
+    if chosen.support is not None:
         from scipy.spatial import KDTree
 
         nearest = KDTree(chosen.centers_and_images().points).query(places)[0].min()
-        if nearest >= chosen.kernel.support:
+        if nearest >= chosen.support:
             yield (
-                f"no point of the mesh lies within reach of a center (support radius {chosen.kernel.support:g}, the "
+                f"no point of the mesh lies within reach of a center (support radius {chosen.support:g}, the "
                 f"nearest is {nearest:.4g} away), so nothing moves; {_boxes(record, lowest, highest)}"
             )
             return
     if apart:
         yield f"the mesh lies outside the box of the run; {_boxes(record, lowest, highest)}"
-    if chosen.kernel.support is None:
+    if chosen.support is None:
         margin = 1e-9 * float(np.linalg.norm(record.upper - record.lower))
         outside = ((places < record.lower - margin) | (places > record.upper + margin)).any(axis=1)
         far = outside & (length > FAR * largest)
         if far.any():
             yield (
-                f"the {chosen.kernel.name} kernel reaches everywhere: {int(far.sum())} points outside the box of the "
-                f"run move by more than {100 * FAR:g} % of the largest displacement of a center, at most by "
+                f"the {chosen.name} kernel reaches everywhere: {int(far.sum())} points outside the box of the run "
+                f"move by more than {100 * FAR:g} % of the largest displacement of a center, at most by "
                 f"{length[far].max():.4g}"
             )
     triangles = meshes.cells.surface(mesh.points, mesh.cells).triangles

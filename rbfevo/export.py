@@ -15,7 +15,7 @@ from rbfevo.arrays import Array
 from rbfevo.commands import parsers
 from rbfevo.errors import UserError
 from rbfevo.files import csv_text, npz, refuse_held, write_whole
-from rbfevo.recorded.moves import Move, spatial, wanted_move
+from rbfevo.recorded.moves import Move, places_of, spatial, wanted_move
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import Setup, setup
@@ -102,15 +102,13 @@ def tables(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes],
     places, times = spatial(physical.points), 1 + chosen.on_plane[physical.column]
     rows = zip(physical.column.tolist(), places.tolist(), physical.mirrored.tolist(), times.tolist(), strict=True)
     lines = [(column, *point, int(mirrored), count) for column, point, mirrored, count in rows]
-    places = spatial(chosen.centers)
+    places = spatial(places_of(chosen))
     contents = {
         "centers.csv": csv_text(["center", "x", "y", "z", "mirrored", "times"], lines),
         "weights.csv": _numbered(["wx", "wy", "wz"], places, spatial(move.weights)),
     }
     crosses = chosen.crosses(record.gradient.shape[1])
-    singular = chosen.singular() or (crosses and chosen.singular(across=True))
-    if singular:
-        reason = "Psi is numerically singular: these centers cannot be moved one by one"
+    if reason := chosen.immovable(record.gradient.shape[1]):
         left_out |= dict.fromkeys(("displacements.csv", "parameters.prm"), reason)
         if chosen.manipulation == "direct":
             left_out["U in setup.npz"] = reason
@@ -122,14 +120,15 @@ def tables(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes],
             contents["parameters.prm"] = pygem.parameters(chosen, spatial(move.centers))
         except UserError as error:
             left_out["parameters.prm"] = str(error)
-    contents["setup.npz"] = npz(_arrays(record, chosen, crosses, singular))
+    contents["setup.npz"] = npz(_arrays(record, chosen, crosses, bool(reason)))
     return contents, left_out
 
 
 def _numbered(names: list[str], places: Array, rows: Array) -> bytes:
     """A table of rows [m, 3], with where the centers are, so that it cannot be taken for that of another setup."""
-    lines = enumerate(np.hstack([places, rows]).tolist())
-    return csv_text(["center", "x", "y", "z", *names], [(center, *line) for center, line in lines])
+    known = bool(np.isfinite(places).all())
+    lines = enumerate(np.hstack([places, rows] if known else [rows]).tolist())
+    return csv_text(["center", *("xyz" if known else ""), *names], [(center, *line) for center, line in lines])
 
 
 def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dict[str, Any]:
@@ -140,8 +139,8 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
         "faces": record.faces,
         "lower": record.lower,
         "upper": record.upper,
-        "kernel": np.array(chosen.kernel.name),
-        "support": np.array(np.nan if chosen.kernel.support is None else chosen.kernel.support),
+        "kernel": np.array(chosen.name),
+        "support": np.array(np.nan if chosen.support is None else chosen.support),
         "manipulation": np.array(chosen.manipulation),
         "symmetry_axis": np.array("" if mirror is None else "xyz"[mirror.axis]),
         "symmetry_at": np.array(np.nan if mirror is None else mirror.at),
@@ -152,6 +151,8 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
     direct = chosen.manipulation == "direct"
     if direct and singular:
         return arrays
+    if chosen.genotype is not None:
+        arrays["genotype"] = chosen.genotype
     for name, across in [("U", False), ("U_across", True)][: 2 if crosses else 1]:
         U = chosen.columns(record.vertices, across)
         U = U[:, chosen.off_plane] if across else U
@@ -173,8 +174,8 @@ def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
         "times": (1 + chosen.on_plane[physical.column]).astype(np.uint8),
         "displacement": spatial(chosen.with_images(move.centers)),
     }
-    if chosen.kernel.support is not None:
-        arrays["support"] = np.full(len(physical.points), chosen.kernel.support)
+    if chosen.support is not None:
+        arrays["support"] = np.full(len(physical.points), chosen.support)
     write_dataset(polydata(spatial(physical.points), None, arrays), out / "centers.vtp")
     fields = {"wanted": move.wanted, "reached": move.reached, "left": move.wanted - move.reached}
     fields = {name: spatial(field) for name, field in fields.items()} | {"weights": record.weights}

@@ -228,9 +228,10 @@ def test_many_points_need_little_memory() -> None:
 import resource, numpy as np
 from rbfevo.recorded.setup import Mirror, Setup
 from rbfevo.scoring.kernels import Cubic
+from rbfevo.scoring.representations import RBF
 rng = np.random.default_rng(0)
 centers, points = rng.uniform(size=(400, 3)), rng.uniform(size=(200_000, 3))
-chosen = Setup(centers, Cubic(), "indirect", Mirror(0, 0.0), np.zeros(400, bool), 0, 0.0, 0.0)
+chosen = Setup(centers, RBF(Cubic()), "indirect", Mirror(0, 0.0), np.zeros(400, bool), 0, 0.0, 0.0)
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 moved = chosen.displacement(points, np.ones((400, 3)))
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before, moved.shape)

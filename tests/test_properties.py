@@ -27,6 +27,7 @@ from rbfevo.scoring.evolvability import Scores
 from rbfevo.scoring.gradients import Spectrum
 from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
 from rbfevo.scoring.pareto import best, crowding, hypervolume, knee, nondominated, ranks, well_spread
+from rbfevo.scoring.representations import RBF
 
 NAN, INF = math.nan, math.inf
 TINY, HUGE = 5e-324, 1.7976931348623157e308
@@ -369,7 +370,7 @@ def test_a_results_front_is_that_of_all_rows_that_did_not_fail(parts: list[list[
     entries = [entry for part in parts for entry in part]
     sound = [row for row, fails in entries if not fails]
     wanted = [not fails and not any(beats(other, row) for other in sound) for row, fails in entries]
-    assert setup_table(series)["nondominated"].tolist() == wanted
+    assert setup_table(series, RBF(Cubic()))["nondominated"].tolist() == wanted
 
 
 @each
@@ -382,7 +383,7 @@ def test_a_result_of_any_population_has_no_nan_score_and_no_failure_on_its_front
     centers = population(drawn, case)
     scores = evaluator(case, manipulation)(centers)
     p = len(centers)
-    found = setup_table([Rows("random", centers, scores, torch.full((p,), NAN))])
+    found = setup_table([Rows("random", centers, scores, torch.full((p,), NAN))], RBF(Cubic()))
     for name in ("regularity", "improvement_potential", "variability"):
         assert np.isfinite(found[name]).all()
     assert not found["nondominated"][scores.failed.numpy()].any()

@@ -24,6 +24,7 @@ from rbfevo.methods.nsga2 import Nsga2Search
 from rbfevo.methods.ols import OlsHeuristic, grid_candidates, ols
 from rbfevo.runs.run import Run
 from rbfevo.scoring.evolvability import Scores
+from rbfevo.scoring.representations import RBF
 
 NSGA2 = {"_target_": "rbfevo.methods.Nsga2Search", "population": 12, "generations": 3}
 CMAES = {"_target_": "rbfevo.methods.CmaesSearch", "population": 12, "parents": 4, "generations": 12}
@@ -172,25 +173,27 @@ def test_lloyd_sees_one_half_and_its_areas(egg: dict[str, Any]) -> None:
     assert float(weights.max() / weights.min()) > 10
     (found,) = LloydHeuristic(starts=3).place(problem)
     stream = problem.stream("lloyd")
-    wanted = problem.parameterization.settle(lloyd(vertices, 6, generator=stream, weights=weights, starts=3))
+    wanted = problem.scenario.parameterization.settle(lloyd(vertices, 6, generator=stream, weights=weights, starts=3))
     torch.testing.assert_close(found, wanted)
     unlike = lloyd(vertices, 6, generator=problem.stream("lloyd"), starts=3)
-    assert not torch.allclose(problem.parameterization.settle(unlike), found, atol=1e-3)
+    assert not torch.allclose(problem.scenario.parameterization.settle(unlike), found, atol=1e-3)
 
 
 def test_ols_sees_one_half_and_its_areas(egg: dict[str, Any]) -> None:
     _, problem = problem_of({"_target_": "rbfevo.methods.OlsHeuristic"}, scenario=egg)
     vertices, g, weights = halved(problem)
     (found,) = OlsHeuristic(per_axis=8).place(problem)
-    candidates = grid_candidates(problem.lower, problem.upper, 8)
+    assert isinstance(problem.representation, RBF)
+    kernel = problem.representation.kernel
+    candidates = grid_candidates(*problem.scenario.search_box, 8)
 
     def columns(centers: Tensor) -> Tensor:
-        return problem.kernel(torch.cdist(vertices, centers, compute_mode="donot_use_mm_for_euclid_dist"))
+        return kernel(torch.cdist(vertices, centers, compute_mode="donot_use_mm_for_euclid_dist"))
 
     wanted = ols(columns, candidates, g, 6, weights=weights).centers
-    torch.testing.assert_close(found, problem.parameterization.settle(wanted))
+    torch.testing.assert_close(found, problem.scenario.parameterization.settle(wanted))
     unlike = ols(columns, candidates, g, 6).centers
-    assert not torch.allclose(problem.parameterization.settle(unlike), found)
+    assert not torch.allclose(problem.scenario.parameterization.settle(unlike), found)
 
 
 # ------------------------------------------------------------------ teams
@@ -265,7 +268,7 @@ def test_a_climb_is_given_the_gradients_of_its_values(
     stage, problem = problem_of(gradient(), scenario=scenario, preference=preference, centers=5)
     assert isinstance(stage, GradientSearch)
     stage.start(problem)
-    side = problem.upper - problem.lower
+    side = problem.space.upper - problem.space.lower
     assert float(side.max() / side.min()) > 1.5
     shape, generator = stage._climb.points.shape, torch.Generator().manual_seed(4)
     stage._climb._trial = torch.rand(*shape, generator=generator, dtype=torch.float64)  # on both sides, in the region
@@ -277,7 +280,7 @@ def test_a_climb_is_given_the_gradients_of_its_values(
 
     def value(points: Tensor) -> Tensor:
         coarse = stage._problem
-        spectrum = coarse.spectrum(coarse.parameterization(stage._placed(points)))
+        spectrum = coarse.spectrum(coarse.space.place(stage._placed(points)))
         assert stage._exponents is not None
         return stage._team.aim(soft_regularity(spectrum, stage._exponents)[0], spectrum.potential)[0]
 

@@ -55,6 +55,9 @@ class Hydras(NamedTuple):
         said = HydraConfig.get()
         runtime = cast(dict[str, Any], OmegaConf.to_container(said.runtime, resolve=False))
         words = cast(list[str], OmegaConf.to_container(said.overrides.task, resolve=False))
+        of_hydra = cast(list[str], OmegaConf.to_container(said.overrides.hydra, resolve=False))
+        # Where options from outside the package are found belongs to a run, for resume=.
+        words = [*(word for word in of_hydra if word.startswith("hydra.searchpath=")), *words]
         return Hydras(Path(runtime["output_dir"]), runtime["cwd"], words, runtime["choices"])
 
 
@@ -165,7 +168,10 @@ def _announce(top: RunConfig, hydras: Hydras) -> None:
             refuse_missing(names.existing_home(path))
     if top.quiet:
         return
-    chosen = [f"{group} {hydras.choices.get(group)}" for group in ("scenario", "kernel", "manipulation", "method")]
+    groups = ["scenario", "kernel", "manipulation", "method"]
+    if hydras.choices.get("representation") not in (None, "rbf"):
+        groups[1] = "representation"
+    chosen = [f"{group} {hydras.choices.get(group)}" for group in groups]
     print(f"{', '.join(chosen)}, {top.centers} centers, seed {top.seed}: {hydras.directory}", flush=True)
 
 

@@ -28,7 +28,7 @@ def parameters(setup: Setup, displacements: Array) -> bytes:
     elif isinstance(setup.kernel, Cubic):
         kernel = ["basis function: polyharmonic_spline", "radius: 1.0", "k: 3"]
     else:
-        raise UserError(f"PyGeM is not known to have the kernel {setup.kernel.name}")
+        raise UserError(f"PyGeM is not known to have the kernel {setup.name}")
     lines = ["# RBF parameters for PyGeM, written by rbfevo.", f"# {LINEAR}.", ""]
     lines += ["[Radial Basis Functions]", *kernel, "", "[Control points]"]
     for name, points in (("original", original), ("deformed", deformed)):

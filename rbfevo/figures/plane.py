@@ -73,7 +73,7 @@ def place_centers(axes: Axes, record: Record, choice: Choice) -> None:
     order = _order(record)
     names = np.array(["x", "y"])[order]
     centers = record.centers[choice.index][:, order]
-    dot = float(np.clip(30 * np.sqrt(25 / len(centers)), 4, 40))
+    dot = float(np.clip(30 * np.sqrt(25 / max(len(centers), 1)), 4, 40))
     axes.scatter(*centers.T, s=dot, color=style.RED, edgecolor="white", linewidth=0.6, zorder=3, clip_on=False)
     axes.set_xlim(record.lower[order[0]], record.upper[order[0]])
     axes.set_ylim(record.lower[order[1]], record.upper[order[1]])

@@ -223,7 +223,7 @@ class Fields:
         self.highest = self._scale * float(errors.max())
         self.unit = "[model units]" if record.gradient_norm else "(unit norm)"
         diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
-        self.radius = 0.0125 * diagonal * min(1.0, np.sqrt(25 / record.centers.shape[1]))
+        self.radius = 0.0125 * diagonal * min(1.0, np.sqrt(25 / max(record.centers.shape[1], 1)))
         kept = max(2, KEPT // record.gradient.size)
         self._weights = functools.lru_cache(kept)(lambda row: setup(record, row).fit(record))
         self._reached = functools.lru_cache(kept)(self._reach)

@@ -44,7 +44,7 @@ def rows(record: Record, choices: list[Choice], opengl: bool) -> tuple[list[Row]
         shapes = {choice.index: record.vertices + factor * np.asarray(choice.reached) for choice in choices}
     centers = [_with_images(record, choice.index) for choice in choices]
     diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
-    radius = 0.0125 * diagonal * min(1.0, np.sqrt(25 / record.centers.shape[1]))
+    radius = 0.0125 * diagonal * min(1.0, np.sqrt(25 / max(record.centers.shape[1], 1)))
     view = view_of(np.concatenate([record.vertices, *centers, *shapes.values()]), 2 * radius, *standpoint(record))
     panel = functools.partial(_panel, record, view, radius, surface.render if opengl else surface.project)
 

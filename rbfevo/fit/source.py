@@ -40,6 +40,8 @@ def rebuild(run: Path, record: Record) -> Source:
     Raises:
         UserError: if the configuration is missing or wrong, or the scenario is another one by now.
     """
+    if record.genotype is not None:
+        raise UserError(f"{run}: a fit knows setups of centers (representation=rbf) only")
     config = _load(run / ".hydra" / "config.yaml")
     for name in FILES:
         path = OmegaConf.select(config, f"scenario.{name}")

@@ -185,4 +185,4 @@ class LloydHeuristic(Heuristic):
             starts=self.starts,
             iterations=self.iterations,
         )
-        return problem.parameterization.settle(centers)[None]
+        return problem.assembled(self.name, centers)[None]

@@ -14,16 +14,19 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.geometry.parameterization import Parameterization
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.evolvability import Scores
 from rbfevo.scoring.gradients import Spectrum
-from rbfevo.scoring.kernels import Kernel
 from rbfevo.scoring.pareto import hypervolume
+from rbfevo.scoring.representations import Representation, Space
 
 
 class Rows(NamedTuple):
-    """Setups of one method with their scores: centers [p, m, d], scores [p], preference [p] (NaN where none)."""
+    """Setups of one method with their scores.
+
+    Attributes:
+        centers: [p, m, d], or other setups [p, *setup]; scores: [p]; preference: [p], NaN where there is none.
+    """
 
     method: str
     centers: Tensor
@@ -47,42 +50,52 @@ class Record(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Problem:
-    """What methods are given: searches use the scores, the box and starting centers; heuristics scenario and kernel.
+    """What methods are given: searches use scores, space and initial setups; heuristics scenario and representation.
 
     Attributes:
-        evaluate: centers [*pop, m, d] -> Scores [*pop].
-        lower, upper: [d] corners of the box that is searched.
+        evaluate: setups [*pop, *setup], of RBFs [*pop, m, d], -> Scores [*pop].
+        space: the box that is searched, random setups, and what makes setups of points of the box.
         centers: m, centers a setup.
         stream: name -> a generator that depends on the run's seed and that name alone.
         preferences: those asked for, or None.
         initial: the run's initial population, method `random`; empty if no method asked for one.
-        scenario, kernel: for heuristics.
-        spectrum: centers [p, m, d] -> singular values and P with gradients, for searches that climb.
+        scenario, representation: for heuristics.
+        spectrum: setups [p, *setup] -> singular values and P with gradients, for searches that climb.
         coarsened: count -> the same problem on at most so many weighted vertices.
-        parameterization: what makes centers of genotypes.
     """
 
     evaluate: Callable[[Tensor], Scores]
-    lower: Tensor
-    upper: Tensor
+    space: Space
     centers: int
     stream: Callable[[str], torch.Generator]
     preferences: tuple[float, ...] | None
     initial: Rows
     scenario: Scenario
-    kernel: Kernel
+    representation: Representation
     spectrum: Callable[[Tensor], Spectrum]
     coarsened: Callable[[int], Problem]
-    parameterization: Parameterization = dataclasses.field(default_factory=Parameterization)
 
     @property
     def flat_box(self) -> tuple[Tensor, Tensor]:
-        """Corners [D] of the box of flat genotypes, D = m d."""
-        return self.lower.repeat(self.centers), self.upper.repeat(self.centers)
+        """Corners [D] of the box of flat genotypes; of RBFs D = m d."""
+        return self.space.lower.flatten(), self.space.upper.flatten()
 
     def unflatten(self, genotypes: Tensor) -> Tensor:
-        """Genotypes [*pop, D] in the box -> centers [*pop, m, d]."""
-        return self.parameterization(genotypes.unflatten(-1, (self.centers, -1)))
+        """Genotypes [*pop, D] in the box -> setups [*pop, *setup]."""
+        return self.space.place(genotypes.unflatten(-1, self.space.lower.shape))
+
+    def assembled(self, method: str, centers: Tensor) -> Tensor:
+        """Setups [*pop, *setup] of centers [*pop, m, d] that a heuristic has placed.
+
+        Raises:
+            UserError: if the representation does not consist of centers.
+        """
+        setups = self.representation.assemble(self.scenario.parameterization.settle(centers))
+        if setups is None:
+            raise UserError(
+                f"method={method} places centers, which representation={self.representation.name} does not consist of"
+            )
+        return setups
 
 
 class Method(abc.ABC):

@@ -25,7 +25,6 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.methods.method import Heuristic, Problem, at_least_one
-from rbfevo.scoring.gram import kernel_columns
 from rbfevo.scoring.threads import run_in_slices
 
 
@@ -293,18 +292,24 @@ class OlsHeuristic(Heuristic):
 
     def _candidates(self, problem: Problem) -> Tensor:
         """The grid [c, d] over the box, without the region where no center may sit."""
-        grid = grid_candidates(problem.lower, problem.upper, self.per_axis)
+        grid = grid_candidates(*problem.scenario.search_box, self.per_axis)
         region = problem.scenario.keep_out
         return grid if region is None else grid[~region.contains(grid)]
 
     def place(self, problem: Problem) -> Tensor:
         """[1, m, d]."""
         design = problem.scenario.half()
+        atoms = problem.representation.atoms(design.vertices)
+        if atoms is None:
+            raise UserError(
+                f"method={self.name} places centers one by one, which representation={problem.representation.name} "
+                "does not consist of"
+            )
         centers = ols(
-            kernel_columns(design.vertices, problem.kernel),
+            atoms,
             self._candidates(problem),
             design.gradient,
             problem.centers,
             weights=design.weights,
         ).centers
-        return problem.parameterization.settle(centers)[None]
+        return problem.assembled(self.name, centers)[None]

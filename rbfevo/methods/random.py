@@ -20,6 +20,5 @@ class RandomHeuristic(Heuristic):
         return self.population
 
     def place(self, problem: Problem) -> Tensor:
-        """[population, m, d]."""
-        centers = problem.scenario.sample(self.population, problem.centers, problem.stream("random"))
-        return problem.parameterization(centers)
+        """[population, *setup]."""
+        return problem.space.place(problem.space.sample(self.population, problem.stream("random")))

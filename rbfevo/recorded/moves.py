@@ -41,10 +41,17 @@ def wanted_move(record: Record, chosen: Setup, step: float) -> Move:
         diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
         factor = step * diagonal / (farthest or float(np.linalg.norm(wanted, axis=1).max()) or 1.0)
         wanted, reached, weights = factor * wanted, factor * reached, factor * weights
-    centers = chosen.displacement(chosen.centers, weights)
+    centers = np.zeros_like(weights) if chosen.kernel is None else chosen.displacement(chosen.centers, weights)
     if chosen.mirror is not None and chosen.crosses(centers.shape[1]):
         centers[chosen.on_plane, chosen.mirror.axis] = 0.0  # rounding apart it is
     return Move(wanted, reached, weights, centers, direction)
+
+
+def places_of(chosen: Setup) -> Array:
+    """Where each parameter acts [m, d]: the centers; NaN of a representation whose control points are not those."""
+    if chosen.kernel is not None:
+        return chosen.centers
+    return np.full((chosen.count, chosen.centers.shape[1]), np.nan)
 
 
 def spatial(rows: Array) -> Array:

@@ -33,6 +33,7 @@ class Record:
         summary: summary.json.
         stays: [n] bool, vertices that are to stay where they are; None if the run did not say.
         variability: [p] rank(U)/n; None if the run did not say.
+        genotype: [p, D] setups of another representation than RBFs, whose `centers` are where control points sit.
     """
 
     centers: Array
@@ -50,6 +51,7 @@ class Record:
     summary: dict[str, Any]
     stays: Array | None = None
     variability: Array | None = None
+    genotype: Array | None = None
 
     @property
     def scored(self) -> Array:
@@ -59,7 +61,10 @@ class Record:
     @property
     def usable(self) -> Array:
         """Indices of the setups with finite scores and finite centers."""
-        return np.flatnonzero(self.scored & np.isfinite(self.centers).all(axis=(1, 2)))
+        finite = np.isfinite(self.centers).all(axis=(1, 2))
+        if self.genotype is not None:
+            finite &= np.isfinite(self.genotype).all(axis=1)
+        return np.flatnonzero(self.scored & finite)
 
     @property
     def front(self) -> Array:
@@ -84,6 +89,9 @@ class Record:
         kernel = f"{'Wendland' if name == 'wendland' else name} kernel"
         if say("support") is not None:
             kernel += f", support radius {say('support'):.4g}"
+        spec = say("representation")
+        if isinstance(spec, dict) and spec.get("name", "rbf") != "rbf":
+            kernel = f"representation {spec['name']}"
         return f"{say('scenario', 'unknown')} · {kernel} · {say('manipulation', 'unknown')} manipulation"
 
 
@@ -95,7 +103,7 @@ def read(run: Path) -> Record:
     """
     if not run.is_dir():
         raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
-    setups = _arrays(run / "setups.npz", SETUPS, ("variability",))
+    setups = _arrays(run / "setups.npz", SETUPS, ("variability", "genotype"))
     scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays",))
     stays = scenario.pop("stays", None)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))

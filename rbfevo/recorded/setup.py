@@ -17,7 +17,8 @@ from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.recorded.record import Record
-from rbfevo.scoring.kernels import Kernel, Wendland, kernel_of, triharmonic
+from rbfevo.scoring.kernels import Kernel, Wendland, triharmonic
+from rbfevo.scoring.representations import RBF, Representation, representation_of
 
 BLOCK = 65_536  # rows at a time, or fewer where there are many centers
 CELLS = 2**22  # of a block of columns: 32 MB
@@ -42,7 +43,7 @@ class Setup:
 
     Attributes:
         centers: [m, d]; a center on the symmetry plane is exactly on it.
-        kernel: phi.
+        representation: what makes the columns of U; kernel: phi, None where it has none.
         manipulation: the run's, `indirect` or `direct`.
         mirror: the symmetry plane, or None.
         on_plane: [m] True for a center on the symmetry plane; all False without one.
@@ -50,13 +51,34 @@ class Setup:
     """
 
     centers: Array
-    kernel: Kernel
+    representation: Representation
     manipulation: str
     mirror: Mirror | None
     on_plane: Array
     row: int
     regularity: float
     improvement_potential: float
+    genotype: Array | None = None
+
+    @property
+    def kernel(self) -> Kernel | None:
+        """phi of a representation by RBFs."""
+        return self.representation.kernel if isinstance(self.representation, RBF) else None
+
+    @property
+    def name(self) -> str:
+        """The name of the kernel, or of another representation."""
+        return self.representation.name if self.kernel is None else self.kernel.name
+
+    @property
+    def support(self) -> float | None:
+        """The support radius of a compact kernel."""
+        return None if self.kernel is None else self.kernel.support
+
+    @property
+    def count(self) -> int:
+        """m, the parameters for each component of a displacement."""
+        return self.representation.columns(self.centers if self.genotype is None else self.genotype)
 
     @property
     def off_plane(self) -> Array:
@@ -65,19 +87,25 @@ class Setup:
 
     def columns(self, points: Array, across: bool = False) -> Array:
         """Phi [q, m] at points [q, d]: with a mirror the columns along its plane, or those across it."""
-        from scipy.spatial.distance import cdist  # takes a while: only once there is something to be worked out
-
-        plain = self.kernel(cdist(points, self.centers))
-        if self.mirror is None:
-            return plain
-        images = self.kernel(cdist(points, self.mirror.image(self.centers)))
-        return plain - images if across else plain + images
+        if self.genotype is not None:
+            return np.asarray(self.representation.phi(points, self.genotype))
+        pair = None if self.mirror is None else self.representation.symmetric(self.mirror)
+        representation = self.representation if pair is None else pair[1] if across else pair[0]
+        return np.asarray(representation.phi(points, self.centers))
 
     def psi(self, across: bool = False) -> Array:
         """Psi [m, m], the columns at the centers; across the plane [m_off, m_off], of the centers off it."""
         if not across or self.mirror is None:
             return self.columns(self.centers)
         return self.columns(self.centers[self.off_plane], across=True)[:, self.off_plane]
+
+    def immovable(self, k: int) -> str:
+        """Why the control points cannot be moved one by one by displacements with k components; empty if they can."""
+        if self.kernel is None:
+            return f"the control points of representation={self.representation.name} are not moved one by one"
+        if self.singular() or (self.crosses(k) and self.singular(across=True)):
+            return "Psi is numerically singular: these centers cannot be moved one by one"
+        return ""
 
     def singular(self, across: bool = False) -> bool:
         """Whether Psi is numerically singular: condition number (1-norm) above 1/(m eps), as for the scores."""
@@ -96,7 +124,7 @@ class Setup:
 
     def parities(self, k: int) -> Iterator[tuple[Array, bool, Array]]:
         """Split k components of a displacement by their columns: components, across or not, indices of the columns."""
-        everything = np.arange(len(self.centers))
+        everything = np.arange(self.count)
         axis = self.mirror.axis if self.mirror is not None and k > 1 else -1
         yield np.array([component for component in range(k) if component != axis], dtype=int), False, everything
         if axis >= 0:
@@ -120,6 +148,8 @@ class Setup:
         Raises:
             UserError: if Psi is numerically singular, or a center is to leave the symmetry plane that it lies on.
         """
+        if self.kernel is None:
+            raise UserError(f"{self.immovable(displacements.shape[1])}: give weights (--weights)")
         self.refuse_across(displacements, "displacement")
         weights = np.zeros(displacements.shape)
         for components, across, columns in self.parities(displacements.shape[1]):
@@ -149,7 +179,7 @@ class Setup:
         [Phi | g]; where columns depend on each other the weights are those of minimum norm.
         """
         (n, k), block = record.gradient.shape, self._rows(block)
-        weights = np.zeros((len(self.centers), k))
+        weights = np.zeros((self.count, k))
         for components, across, columns in self.parities(k):
             triangle = np.empty((0, len(columns) + len(components)))
             for start in range(0, n, block):
@@ -170,7 +200,7 @@ class Setup:
         return self.fit(record, block) * (record.gradient_norm or 1.0)
 
     def _rows(self, block: int) -> int:
-        return min(block, max(1024, CELLS // len(self.centers)))
+        return min(block, max(1024, CELLS // self.count))
 
     def centers_and_images(self) -> Centers:
         """All centers that the deformation really has; one on the symmetry plane stands there once."""
@@ -200,31 +230,33 @@ def setup(record: Record, row: int) -> Setup:
     Raises:
         UserError: if summary.json names a kernel or a symmetry that is not known here.
     """
+    representation = _representation(record)
     mirror, centers = _mirror(record), np.array(record.centers[row], dtype=np.float64)
     on_plane = np.zeros(len(centers), dtype=bool)
     if mirror is not None:
         on_plane, centers = mirror.on_plane(centers), mirror.snapped(centers)
     return Setup(
         centers=centers,
-        kernel=_kernel(record),
+        representation=representation,
         manipulation=str(record.summary.get("manipulation", "indirect")),
         mirror=mirror,
         on_plane=on_plane,
         row=int(row),
         regularity=float(record.regularity[row]),
         improvement_potential=float(record.improvement_potential[row]),
+        genotype=None if record.genotype is None else np.array(record.genotype[row], dtype=np.float64),
     )
 
 
-def _kernel(record: Record) -> Kernel:
+def _representation(record: Record) -> Representation:
     name, support = record.summary.get("kernel"), record.summary.get("support")
     spec = record.summary.get("representation")
-    if isinstance(spec, dict) and isinstance(spec.get("kernel"), dict):
-        return kernel_of(spec["kernel"])
+    if isinstance(spec, dict):
+        return representation_of(spec)
     if name == "wendland" and isinstance(support, int | float) and 0 < support < float("inf"):
-        return Wendland(support)
+        return RBF(Wendland(support))
     if name == "triharmonic":
-        return triharmonic(record.vertices.shape[1])
+        return RBF(triharmonic(record.vertices.shape[1]))
     raise UserError(f"summary.json: what a setup does is not known for kernel={name} with support radius {support}")
 
 

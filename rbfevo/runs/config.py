@@ -32,6 +32,7 @@ class RunConfig:
     kernel: Any
     manipulation: Any
     method: Any
+    representation: Any = None
     experiment: Any = None
     seed: int = 0
     centers: int = 25
@@ -43,16 +44,18 @@ class RunConfig:
     quiet: bool = False
 
 
+RBF = {"_target_": "rbfevo.scoring.representations.rbf"}  # of configurations that name no representation
 ROOTS = ("hydra", *(field.name for field in dataclasses.fields(RunConfig)))  # where a path in the configuration begins
 
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Checked settings of one run; the three nodes, plain dictionaries, are what `build` makes their objects of."""
+    """Checked settings of one run; the four nodes, plain dictionaries, are what `build` makes their objects of."""
 
     scenario: dict[str, Any]
     kernel: dict[str, Any]
     method: dict[str, Any]
+    representation: dict[str, Any]
     manipulation: str
     seed: int
     centers: int
@@ -75,6 +78,7 @@ def check(config: DictConfig) -> Settings:
         scenario=checked_target(top.scenario, "scenario"),
         kernel=checked_target(top.kernel, "kernel"),
         method=checked_target(top.method, "method"),
+        representation=checked_target(top.representation or RBF, "representation"),
         manipulation=str(top.manipulation["name"]),
         seed=top.seed,
         centers=top.centers,
@@ -165,7 +169,7 @@ def checked_target(node: Any, path: str) -> dict[str, Any]:
     if not isinstance(node, dict) or "_target_" not in node:
         raise UserError(f"{path}={node}: this is not an option of the group {path}")
     target = target_of(node["_target_"])
-    hints = typing.get_type_hints(target.__init__ if inspect.isclass(target) else target)
+    hints = hints_of(target.__init__ if inspect.isclass(target) else target)
     parameters = inspect.signature(target).parameters
     plain = {key: value for key, value in node.items() if not isinstance(value, dict)}
     fields = []
@@ -177,6 +181,20 @@ def checked_target(node: Any, path: str) -> dict[str, Any]:
     values = vars(typed(plain, dataclasses.make_dataclass("Options", fields), f"{path}."))
     nested = {key: checked_target(value, f"{path}.{key}") for key, value in node.items() if isinstance(value, dict)}
     return {**values, **nested}
+
+
+def hints_of(function: Any) -> dict[str, Any]:
+    """The types of a function's arguments; Any for those that its module imports for a type checker only."""
+    try:
+        return typing.get_type_hints(function)
+    except NameError:
+        found = {}
+        for name, annotation in inspect.get_annotations(function).items():
+            try:
+                found[name] = eval(annotation, function.__globals__) if isinstance(annotation, str) else annotation
+            except NameError:
+                found[name] = Any
+        return found
 
 
 def omegaconf_type(hint: Any) -> Any:

@@ -36,6 +36,7 @@ from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.evolvability import Scores
 from rbfevo.scoring.kernels import Kernel
 from rbfevo.scoring.pareto import hypervolume
+from rbfevo.scoring.representations import RBF, Representation
 from rbfevo.scoring.symmetric import evaluator_of
 from rbfevo.scoring.threads import coarse
 
@@ -94,6 +95,9 @@ class Run:
                 f"centers={settings.centers}: scenario {self.scenario.name} has only {n} vertices; use fewer"
             )
         self.kernel: Kernel = build(settings.kernel, d, self.scenario.support, self.scenario.diagonal)
+        made = build(settings.representation, self.scenario, self.kernel, settings.centers)
+        self.representation: Representation = made
+        self.space = self.representation.space(self.scenario, settings.centers)
         method = build(settings.method)
         self._enough_vertices(method)
         self.name: str = method.name
@@ -138,7 +142,7 @@ class Run:
 
     def _evaluator(self, scenario: Scenario) -> Evaluator:
         """Of this run's kernel and manipulation, on a scenario's vertices; all that a GPU does, it does in there."""
-        return evaluator_of(scenario.to(self.device), self.kernel, self.settings.manipulation, self._backend)
+        return evaluator_of(scenario.to(self.device), self.representation, self.settings.manipulation, self._backend)
 
     def total(self, counter: str) -> int:
         """One of the evaluator's counters, coarse designs included."""
@@ -256,8 +260,8 @@ class Run:
         self._done = {counter: int(saved["counters"][counter]) - self.total(counter) for counter in COUNTERS}
 
     def _initial(self) -> Rows:
-        m, count = self.settings.centers, max(stage.initial for stage in self.stages)
-        centers = self.scenario.parameterization(self.scenario.sample(count, m, self._stream("initial")))
+        count = max(stage.initial for stage in self.stages)
+        centers = self.space.place(self.space.sample(count, self._stream("initial")))
         rows = no_preference("random", centers, self.full_evaluator(centers))
         if count:
             self.rows.append(rows)
@@ -267,8 +271,7 @@ class Run:
     @functools.cached_property
     def _for_matching(self) -> Rows:
         """A few random setups, scored on all vertices, where a method asks for no initial population."""
-        sample = self.scenario.sample(MATCHED_ON, self.settings.centers, self._stream("matching"))
-        centers = self.scenario.parameterization(sample)
+        centers = self.space.place(self.space.sample(MATCHED_ON, self._stream("matching")))
         return no_preference("random", centers, self.full_evaluator(centers))
 
     def _stream(self, name: str) -> torch.Generator:
@@ -301,17 +304,15 @@ class Run:
 
         problem = Problem(
             evaluate=evaluator,
-            lower=scenario.search_box[0],
-            upper=scenario.search_box[1],
+            space=self.space,
             centers=self.settings.centers,
             stream=self._stream,
             preferences=self.settings.preferences,
             initial=initial,
             scenario=scenario,
-            kernel=self.kernel,
+            representation=self.representation,
             spectrum=evaluator.spectrum,
             coarsened=fewer_vertices,
-            parameterization=scenario.parameterization,
         )
         return problem
 
@@ -322,6 +323,7 @@ class Run:
             "scenario": self.scenario.name,
             "kernel": self.kernel.name,
             "support": self.kernel.support,
+            "representation": {"name": self.representation.name, **self.representation.spec()},
             "manipulation": self.settings.manipulation,
             "method": self.name,
             "centers": self.settings.centers,
@@ -365,9 +367,9 @@ class Run:
         evaluator = self.full_evaluator
         if self._defined:
             return evaluator.definition(centers)
-        return evaluator_of(self.scenario.to(self.device), self.kernel, self.settings.manipulation, evaluator.backend)(
-            centers
-        )  # one of its own: these are no evaluations of the search
+        return evaluator_of(
+            self.scenario.to(self.device), self.representation, self.settings.manipulation, evaluator.backend
+        )(centers)  # one of its own: these are no evaluations of the search
 
     def save(self, directory: Path, reporter: Reporter, journal: Journal) -> None:
         """Score the rows on all vertices, write the run directory and draw its figures."""
@@ -377,10 +379,10 @@ class Run:
         rescored = [rows._replace(scores=self._final(rows.centers)) for rows in self.rows]
         if self.searched is not self.scenario:
             self.differences = differences(self.rows[self._drawn :], rescored[self._drawn :])
-        self.warnings += reach.out_of_reach(
-            self.scenario, self.kernel.support, torch.cat([row.centers for row in self.rows])
-        )
-        table = storage.setup_table(rescored)
+        if isinstance(self.representation, RBF):
+            found = torch.cat([row.centers for row in self.rows])
+            self.warnings += reach.out_of_reach(self.scenario, self.kernel.support, found)
+        table = storage.setup_table(rescored, self.representation, self.scenario.vertices.shape[1])
         objectives = torch.cat([rows.scores.objectives for rows in rescored])
         storage.write_scenario(directory, self.scenario)
         storage.write_setups(directory, table)

@@ -15,6 +15,7 @@ from rbfevo.methods.method import Rows
 from rbfevo.runs.directory import RESULTS, refuse_results
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.pareto import nondominated
+from rbfevo.scoring.representations import RBF, Representation
 
 __all__ = [
     "RESULTS",
@@ -29,8 +30,12 @@ __all__ = [
 ]
 
 
-def setup_table(rows: Sequence[Rows]) -> dict[str, np.ndarray]:
-    """The arrays of `setups.npz`: all rows of all methods, `nondominated` among all of them."""
+def setup_table(rows: Sequence[Rows], representation: Representation, dimension: int = 2) -> dict[str, np.ndarray]:
+    """The arrays of `setups.npz`: all rows of all methods, `nondominated` among all of them.
+
+    Of another representation than RBFs, `genotype` [p, D] are the setups, and `centers` [p, h, dimension] where their
+    control points sit.
+    """
     method = np.array([series.method for series in rows for _ in range(len(series.centers))], dtype=np.str_)
 
     def joined(parts: Iterable[torch.Tensor]) -> np.ndarray:
@@ -38,8 +43,13 @@ def setup_table(rows: Sequence[Rows]) -> dict[str, np.ndarray]:
 
     objectives = torch.cat([series.scores.objectives for series in rows])
     failed = torch.cat([series.scores.failed for series in rows])
+    setups = torch.cat([series.centers for series in rows]).cpu()
+    handles = representation.handles(setups)
+    places = {"centers": setups.new_zeros(len(setups), 0, dimension) if handles is None else handles}
+    if not isinstance(representation, RBF):
+        places["genotype"] = setups
     return {
-        "centers": joined(series.centers for series in rows),
+        **{name: array.to(torch.float64).numpy() for name, array in places.items()},
         "regularity": joined(series.scores.regularity for series in rows),
         "improvement_potential": joined(series.scores.improvement_potential for series in rows),
         "variability": joined(series.scores.variability for series in rows),
@@ -52,7 +62,7 @@ def setup_table(rows: Sequence[Rows]) -> dict[str, np.ndarray]:
 def write_setups(directory: Path, table: dict[str, np.ndarray]) -> None:
     """Write `setups.npz` and, without the centers, `setups.csv`."""
     write_whole(directory / "setups.npz", npz(table))
-    names = [name for name in table if name != "centers"]
+    names = [name for name in table if name not in ("centers", "genotype")]
     write_whole(directory / "setups.csv", csv_text(names, zip(*(table[name].tolist() for name in names), strict=True)))
 
 

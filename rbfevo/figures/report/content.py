@@ -27,6 +27,7 @@ from rbfevo.recorded.setup import Setup, setup
 MANY = 2_000  # setups of a sweep: above, each run shows its front and its heuristics only
 MOST = 4_000  # setups of a run: above, every so-manieth of those that others dominate is shown
 NUMBERS = 500_000  # coordinates of centers, 4 MB
+EMBEDDED = 4_000_000  # numbers of what setups leave, where the page does not know the formula: 16 MB
 ON_DARK = {
     style.BLUE: "#6aa5f5",
     style.MAGENTA: "#ff66bd",
@@ -64,7 +65,11 @@ def content(runs: Sequence[Shown], meshes: Sequence[str]) -> dict[str, Any]:
     order = list(dict.fromkeys(meshes))
     looks: dict[tuple[str, str], dict[str, Any]] = {}
     rows = _rows(runs)
-    told = [_run(run, order.index(mesh), kept, looks) for run, mesh, kept in zip(runs, meshes, rows, strict=True)]
+    shown = {mesh: surface_of(record, *_vertices(len(order))).rows for mesh, record in first.items()}
+    told = [
+        _run(run, order.index(mesh), kept, looks, shown[mesh], len(runs))
+        for run, mesh, kept in zip(runs, meshes, rows, strict=True)
+    ]
     every = sum(len(run.record.usable) for run in runs)
     return {
         "runs": told,
@@ -92,7 +97,7 @@ def _rows(runs: Sequence[Shown]) -> list[Array]:
         run.record.nondominated[kept] | np.isin(run.record.method[kept], HEURISTICS[1:])
         for run, kept in zip(runs, rows, strict=True)
     ]
-    numbers = max(run.record.centers[0].size for run in runs)
+    numbers = max(1, *(run.record.centers[0].size for run in runs))
     most = min(MANY if len(runs) > 1 else MOST, NUMBERS // numbers)
     if sum(map(len, rows)) <= most:
         return rows
@@ -105,7 +110,30 @@ def _rows(runs: Sequence[Shown]) -> list[Array]:
     return found
 
 
-def _run(run: Shown, mesh: int, rows: Array, looks: dict[tuple[str, str], dict[str, Any]]) -> dict[str, Any]:
+def _vertices(count: int) -> tuple[int, ...]:
+    """How many vertices of each of `count` meshes are shown at most; nothing where the default will do."""
+    return () if count == 1 else (max(2_000, 50_000 // count),)
+
+
+def _left(record: Record, rows: Array, vertices: Array, room: int) -> tuple[list[int], str]:
+    """What setups leave of the gradient at the vertices shown: for which of `rows`, and float32 [rows, n, k], packed.
+
+    The nondominated ones come first; no more than `room` numbers are told.
+    """
+    telling = np.argsort(~record.nondominated[rows], kind="stable")
+    number = len(vertices) * record.gradient.shape[1]
+    telling = np.sort(telling[: max(1, room // number)])
+    left = []
+    for row in rows[telling]:
+        chosen = setup(record, int(row))
+        weights = chosen.fit(record)
+        left.append(record.gradient[vertices] - chosen.displacement(record.vertices[vertices], weights))
+    return telling.tolist(), packed(np.array(left), "<f4")
+
+
+def _run(
+    run: Shown, mesh: int, rows: Array, looks: dict[tuple[str, str], dict[str, Any]], vertices: Array, count: int
+) -> dict[str, Any]:
     record, summary = run.record, run.record.summary
     which = np.zeros(len(record.regularity), dtype=int)
     for (method, preferred), members in kinds(record).items():
@@ -129,6 +157,11 @@ def _run(run: Shown, mesh: int, rows: Array, looks: dict[tuple[str, str], dict[s
     centers = record.centers[rows]
     if mirror is not None:  # those on the symmetry plane are put exactly there
         centers = np.stack([setup(record, int(row)).centers for row in rows])
+    formula = known.kernel.page if known is not None and known.kernel is not None else None
+    embedded = None
+    if known is not None and formula is None:
+        which_rows, left = _left(record, rows, vertices, EMBEDDED // count)
+        embedded = {"rows": which_rows, "left": left}
     variability = record.variability if record.variability is not None else np.full(len(which), np.nan)
     return {
         "name": run.name,
@@ -139,7 +172,9 @@ def _run(run: Shown, mesh: int, rows: Array, looks: dict[tuple[str, str], dict[s
         "support": summary.get("support"),
         "manipulation": summary.get("manipulation"),
         "mirror": None if mirror is None else {"axis": mirror.axis, "at": mirror.at},
-        "known": known is not None,
+        "known": known is not None and formula is not None,
+        "formula": formula,
+        "embedded": embedded,
         "settings": run.settings,
         "m": m,
         "n": n,
@@ -166,7 +201,7 @@ def _setup(record: Record, rows: Array) -> Setup | None:
 
 def _mesh(record: Record, count: int) -> dict[str, Any]:
     """Vertices, faces and gradient for a page that shows `count` meshes."""
-    surface = surface_of(record, *(() if count == 1 else (max(2_000, 50_000 // count),)))
+    surface = surface_of(record, *_vertices(count))
     d, towards, up = record.vertices.shape[1], np.array([1.0, -0.4, 0.9]), np.array([0.0, 0.0, 1.0])
     if d == 3:
         towards, up = standpoint(record)

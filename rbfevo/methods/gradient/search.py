@@ -82,7 +82,7 @@ class GradientSearch(Method):
     def start(self, problem: Problem) -> None:
         self.check(problem.preferences)
         self._fine, self._problem = problem, problem.coarsened(self.coarse)
-        self._side = problem.upper - problem.lower
+        self._side = problem.space.upper - problem.space.lower
         self._step, self._sharpness, self._renew = 0, SHARPNESS, True
         self._exponents: Tensor | None = None
         like = problem.initial.centers
@@ -97,17 +97,27 @@ class GradientSearch(Method):
     def _starts(self) -> Tensor:
         """[size, D] in the unit box: what each element of the team wants, scattered or random."""
         problem = self._problem
-        lloyd = LloydHeuristic(starts=3, iterations=50).place(problem)[0]
-        ols = OlsHeuristic(per_axis=30 if len(self._side) == 2 else 15).place(problem)[0]
+        space, random = problem.space, problem.initial.centers
         kind, scatter = self._team.origins()
-        where = self._generator.device
-        noise = torch.randn(len(kind), *lloyd.shape, generator=self._generator, dtype=lloyd.dtype, device=where)
-        scattered = SCATTER * scatter[:, None, None] * self._side * noise.to(lloyd.device)
-        random = problem.initial.centers
         random = random[torch.arange(len(kind), device=random.device) % len(random)]
-        base = torch.stack((lloyd, ols))[kind.clamp_min(0)] + scattered
-        centers = problem.parameterization(torch.where((kind == RANDOM)[:, None, None], random, base))
-        return ((centers - problem.lower) / self._side).flatten(1).clamp(0.0, 1.0)
+        known = self._heuristics(problem)
+        if known is None:
+            return ((random - space.lower) / self._side).flatten(1).clamp(0.0, 1.0)
+        where = self._generator.device
+        noise = torch.randn(len(kind), *known.shape[1:], generator=self._generator, dtype=known.dtype, device=where)
+        each = (-1, *(1,) * (known.ndim - 1))
+        base = known[kind.clamp_min(0)] + SCATTER * scatter.view(each) * self._side * noise.to(known.device)
+        setups = space.place(torch.where((kind == RANDOM).view(each), random, base))
+        return ((setups - space.lower) / self._side).flatten(1).clamp(0.0, 1.0)
+
+    @staticmethod
+    def _heuristics(problem: Problem) -> Tensor | None:
+        """The setups [2, *setup] of Lloyd and OLS; None where setups do not consist of centers."""
+        if problem.representation.atoms(problem.scenario.vertices) is None:
+            return None
+        lloyd = LloydHeuristic(starts=3, iterations=50).place(problem)[0]
+        per_axis = 30 if problem.scenario.vertices.shape[1] == 2 else 15
+        return torch.stack((lloyd, OlsHeuristic(per_axis=per_axis).place(problem)[0]))
 
     def step(self) -> None:
         if self._step in self._ends:
@@ -121,7 +131,7 @@ class GradientSearch(Method):
             self._renew = True
         points = self._climb.ask()
         placed = self._placed(points)
-        spectrum = self._problem.spectrum(self._problem.parameterization(placed))
+        spectrum = self._problem.spectrum(self._problem.space.place(placed))
         objectives = torch.stack((spectrum.regularity, spectrum.potential), dim=1)
         if self._renew:
             self._exponents, self._renew = exponents(objectives[:, 0], self._sharpness), False
@@ -130,7 +140,7 @@ class GradientSearch(Method):
         log_regularity, slope = soft_regularity(spectrum, self._exponents)
         values, in_regularity, in_potential = self._team.aim(log_regularity, spectrum.potential)
         gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential)
-        gradient = self._problem.parameterization.pull(placed, gradient)
+        gradient = self._problem.space.pull(placed, gradient)
         self._climb.tell(values, (gradient * self._side).flatten(1))
         self._team.move(self._climb, points, objectives, self._climb.accepted)
         self._step += 1
@@ -158,8 +168,8 @@ class GradientSearch(Method):
             self._problem = self._fine
 
     def _placed(self, points: Tensor) -> Tensor:
-        """Points [p, D] of the unit box as points [p, m, d] of the box."""
-        return self._problem.lower + self._side * points.unflatten(1, (self._problem.centers, -1))
+        """Points [p, D] of the unit box as points [p, *setup] of the box."""
+        return self._problem.space.lower + self._side * points.unflatten(1, self._side.shape)
 
     def progress(self) -> list[tuple[float, Tensor]]:
         return self._team.progress()
@@ -168,5 +178,5 @@ class GradientSearch(Method):
         points, objectives, preference = self._team.found()
         if not len(points):
             return []
-        centers = self._problem.parameterization(self._placed(points))
+        centers = self._problem.space.place(self._placed(points))
         return [Rows(self.name, centers, unscored(centers, objectives), preference)]

@@ -151,6 +151,10 @@ class RBF(Representation):
         """phi_c + phi_c' along the plane, and phi_c - phi_c' across it."""
         return RBF(self.kernel, Image(mirror, 1.0)), RBF(self.kernel, Image(mirror, -1.0))
 
+    def assemble(self, centers: Tensor) -> Tensor:
+        """The centers themselves."""
+        return centers
+
     def atoms(self, points: Tensor) -> Callable[[Tensor], Tensor]:
         """phi(|c_j - x_i|), without images."""
         from rbfevo.scoring.gram import kernel_columns

@@ -91,7 +91,7 @@ class Representation(abc.ABC):
 
     @abc.abstractmethod
     def spec(self) -> dict[str, Any]:
-        """Plain numbers and words, of which `target` is the class and the others are what its `of_spec` takes."""
+        """Plain numbers and words: `target` is the class, the others are what its `of_spec` takes; not `name`."""
 
     @classmethod
     def of_spec(cls, **numbers: Any) -> Representation:
@@ -137,6 +137,10 @@ class Representation(abc.ABC):
         """The columns for components along a plane of symmetry and for the one across it, or None."""
         return None
 
+    def assemble(self, centers: Tensor) -> Tensor | None:
+        """Setups [*pop, *setup] of centers [*pop, m, d] that a heuristic has placed; None where they are no setup."""
+        return None
+
     def atoms(self, points: Tensor) -> Callable[[Tensor], Tensor] | None:
         """The map from candidate centers [c, d] to their columns [n, c], for heuristics that place them; or None."""
         return None
@@ -148,7 +152,10 @@ def representation_of(spec: dict[str, Any]) -> Representation:
     Raises:
         UserError: if its class cannot be imported, or does not take these numbers.
     """
-    target, numbers = str(spec.get("target")), {key: value for key, value in spec.items() if key != "target"}
+    target, numbers = (
+        str(spec.get("target")),
+        {key: value for key, value in spec.items() if key not in ("target", "name")},
+    )
     module, _, name = target.rpartition(".")
     try:
         found = getattr(importlib.import_module(module), name)

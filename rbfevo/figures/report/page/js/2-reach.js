@@ -1,15 +1,15 @@
 // What a setup reaches of the wanted displacement: U U^+ g, by the modified Gram-Schmidt process on [U | g].
 
 /** The kernel at a squared distance. */
-function kernelOf(run, d) {
-  if (run.kernel === "wendland") {
+function kernelOf(run) {
+  if (run.formula === "wendland") {
     const s = run.support;
     return (r2) => {
       const q = Math.sqrt(r2) / s;
       return q < 1 ? (1 - q) ** 4 * (4 * q + 1) : 0;
     };
   }
-  return d === 2 ? (r2) => (r2 > 0 ? 0.5 * r2 * Math.log(r2) : 0) : (r2) => r2 * Math.sqrt(r2);
+  return run.formula === "thin_plate" ? (r2) => (r2 > 0 ? 0.5 * r2 * Math.log(r2) : 0) : (r2) => r2 * Math.sqrt(r2);
 }
 
 /** The image of a center [d] in a run's symmetry plane. */
@@ -21,7 +21,7 @@ function imageOf(center, mirror) {
 
 /** Column of Phi [n] of one center; with a mirror that along its plane, or across it (null where there is none). */
 function columnOf(center, mesh, run, roots, across) {
-  const { vertices, n, d } = mesh, phi = kernelOf(run, d), mirror = run.mirror;
+  const { vertices, n, d } = mesh, phi = kernelOf(run), mirror = run.mirror;
   if (across && center[mirror.axis] === mirror.at) return null;
   const column = new Float64Array(n);
   const add = (point, sign) => {
@@ -101,11 +101,31 @@ function unpackMesh(mesh) {
   return mesh;
 }
 
+/** What a setup leaves, from the numbers that the page was given; null where it was not given them. */
+function embedded(setup, mesh) {
+  const { n, k } = mesh, given = setup.run.embedded;
+  if (!given) return null;
+  if (!given.array) given.array = unpacked(given.left, Float32Array);
+  const place = given.rows.indexOf(setup.place);
+  if (place < 0) return null;
+  const left = Float64Array.from(given.array.subarray(place * n * k, (place + 1) * n * k));
+  let remaining = 0, whole = 0;
+  for (let i = 0; i < n * k; i++) {
+    const weight = mesh.roots ? mesh.roots[Math.floor(i / k)] ** 2 : 1;
+    remaining += weight * left[i] ** 2;
+    whole += weight * mesh.gradient[i] ** 2;
+  }
+  return { left, norms: rowNorms(left, n, k), potential: whole > 0 ? 1 - remaining / whole : 0 };
+}
+
+/** Whether the page knows what a setup leaves. */
+const tells = (setup) => setup.run.known || (setup.run.embedded !== null && setup.run.embedded.rows.includes(setup.place));
+
 /** `leftBy`, remembered for the setups that were looked at last. */
 function leftOf(setup, mesh) {
-  if (!setup.run.known) return null;
+  if (!tells(setup)) return null;
   let found = mesh.known.get(setup.index);
-  if (!found) found = leftBy(setup, mesh);
+  if (!found) found = setup.run.known ? leftBy(setup, mesh) : embedded(setup, mesh);
   mesh.known.delete(setup.index);
   mesh.known.set(setup.index, found);
   if (mesh.known.size > 24) mesh.known.delete(mesh.known.keys().next().value);

@@ -1,0 +1,174 @@
+"""A kernel, a representation and a method from outside the package: one file and one yaml each (tests/plugged)."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import cdist
+
+from rbfevo.recorded.record import read
+from rbfevo.recorded.setup import setup
+
+PLUGGED = Path(__file__).parent / "plugged"
+ROOT = Path(__file__).parents[1]
+SMALL = ["scenario=plane", "scenario.resolution=[20,20]", "centers=6", "figures=false"]
+SEARCH = ["method=gradient", "method.starts=16", "method.population=16", "method.generations=10", "method.front=10"]
+
+
+def python(*words: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(PLUGGED)])}
+    command = [sys.executable, "-m", *words]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+
+
+def run(directory: Path, *words: str) -> Path:
+    made = python("rbfevo", f"hydra.searchpath=[file://{PLUGGED}]", *SMALL, *words, f"hydra.run.dir={directory}")
+    assert made.returncode == 0, made.stdout + made.stderr
+    return directory
+
+
+@pytest.fixture(scope="module")
+def gaussian(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("gaussian") / "run"
+    return run(directory, "kernel=gaussian", "kernel.width=0.4", "manipulation=direct", *SEARCH)
+
+
+@pytest.fixture(scope="module")
+def modes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("modes")
+    np.save(folder / "waves.npy", np.random.default_rng(0).normal(scale=3.0, size=(5, 2)))
+    return run(folder / "run", "representation=modes", f"representation.file={folder / 'waves.npy'}", *SEARCH)
+
+
+def potential(U: np.ndarray, g: np.ndarray) -> float:
+    left = np.linalg.svd(U, full_matrices=False)[0]
+    return float((left.T @ g).__pow__(2).sum())
+
+
+@pytest.fixture(autouse=True)
+def _importable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(PLUGGED))
+
+
+def test_scores_with_a_kernel_from_outside_are_those_of_its_formula(gaussian: Path) -> None:
+    record = read(gaussian)
+    assert record.summary["kernel"] == "gaussian"
+    assert record.title == "plane · gaussian kernel · direct manipulation"
+    for row in record.front[[0, -1]]:
+        c = record.centers[row]
+        phi, psi = (np.exp(-((cdist(points, c) / 0.4) ** 2)) for points in (record.vertices, c))
+        U = np.linalg.solve(psi, phi.T).T
+        sigma = np.linalg.svd(U, compute_uv=False)
+        assert record.regularity[row] == pytest.approx(sigma[-1] / sigma[0], rel=1e-6)
+        assert record.improvement_potential[row] == pytest.approx(potential(phi, record.gradient), abs=1e-8)
+        np.testing.assert_allclose(setup(record, int(row)).columns(record.vertices), phi, atol=1e-14)
+
+
+def test_scores_in_a_representation_from_outside_are_those_of_its_columns(modes: Path) -> None:
+    record = read(modes)
+    assert record.genotype is not None
+    assert record.genotype.shape[1] == 5
+    assert record.centers.shape[1:] == (0, 2)
+    assert record.title == "plane · representation modes · indirect manipulation"
+    waves = np.load(modes.parent / "waves.npy")
+    for row in record.front[[0, -1]]:
+        U = np.cos(record.vertices @ waves.T + record.genotype[row])
+        sigma = np.linalg.svd(U, compute_uv=False)
+        assert record.regularity[row] == pytest.approx(sigma[-1] / sigma[0], rel=1e-6)
+        assert record.improvement_potential[row] == pytest.approx(potential(U, record.gradient), abs=1e-8)
+    searched = record.method == "gradient"  # by gradients through autograd
+    assert record.improvement_potential[searched].max() > record.improvement_potential[~searched].max() - 1e-6
+
+
+def test_export_and_apply_know_what_a_kernel_from_outside_does(gaussian: Path, tmp_path: Path) -> None:
+    assert python("rbfevo.export", str(gaussian), "--pick", "knee", "--out", str(tmp_path / "e")).returncode == 0
+    saved = np.load(tmp_path / "e" / "setup.npz")
+    words = [str(gaussian), "--pick", "knee", "--mesh", str(tmp_path / "e" / "template.vtp")]
+    for what in ("displacements", "weights"):
+        out = tmp_path / f"{what}.vtp"
+        done = python("rbfevo.apply", *words, f"--{what}", str(tmp_path / "e" / f"{what}.csv"), "--out", str(out))
+        assert done.returncode == 0, done.stderr
+    import pyvista
+
+    moved = [pyvista.read(tmp_path / f"{what}.vtp").points for what in ("displacements", "weights")]
+    np.testing.assert_allclose(moved[0], moved[1], atol=1e-9)
+    reached = saved["U"] @ np.linalg.lstsq(saved["U"], read(gaussian).gradient, rcond=None)[0]
+    norm = read(gaussian).gradient_norm
+    assert norm is not None
+    np.testing.assert_allclose(np.asarray(moved[1])[:, 2], norm * reached[:, 0], atol=1e-9)
+
+
+def test_what_a_representation_from_outside_does_not_offer_is_refused_in_a_line(modes: Path, tmp_path: Path) -> None:
+    exported = python("rbfevo.export", str(modes), "--pick", "knee", "--out", str(tmp_path / "e"))
+    assert exported.returncode == 0, exported.stderr
+    assert "left out: displacements.csv: the control points of representation=modes are not moved" in exported.stdout
+    words = [str(modes), "--pick", "knee", "--mesh", str(tmp_path / "e" / "template.vtp")]
+    weights = ["--weights", str(tmp_path / "e" / "weights.csv")]
+    assert python("rbfevo.apply", *words, *weights, "--out", str(tmp_path / "moved.vtp")).returncode == 0
+    fitted = python("rbfevo.fit", str(modes), "--pick", "knee")
+    assert (fitted.returncode, fitted.stderr.count("\n")) == (2, 1)
+    assert "a fit knows setups of centers" in fitted.stderr
+    waves = f"representation.file={modes.parent / 'waves.npy'}"
+    for more, line in (
+        (["method=lloyd"], "method=lloyd places centers, which representation=modes does not consist of"),
+        (["method=ols"], "method=ols places centers one by one, which representation=modes does not consist of"),
+        (["method=random", "manipulation=direct"], "manipulation=direct: representation=modes offers indirect"),
+    ):
+        place = f"hydra.run.dir={tmp_path / 'refused'}"
+        made = python(
+            "rbfevo", f"hydra.searchpath=[file://{PLUGGED}]", *SMALL, "representation=modes", waves, *more, place
+        )
+        assert made.returncode == 2
+        assert made.stderr.strip().splitlines()[-1] == f"rbfevo: {line}"
+
+
+def test_figures_and_the_page_are_drawn_of_plugged_in_runs(gaussian: Path, modes: Path) -> None:
+    import json
+    import re
+
+    for directory in (gaussian, modes):
+        drawn = python("rbfevo.figures", str(directory))
+        assert drawn.returncode == 0, drawn.stderr
+        assert {"front.png", "centers.png", "report.html"} <= {path.name for path in directory.iterdir()}
+        page = (directory / "report.html").read_text(encoding="utf-8")
+        (content,) = re.findall(r'<script type="application/json" id="content">(.*?)</script>', page, re.DOTALL)
+        told = json.loads(content)["runs"][0]
+        assert told["formula"] is None
+        import base64
+
+        record = read(directory)
+        left = np.frombuffer(base64.b64decode(told["embedded"]["left"]), "<f4")
+        left = left.reshape(len(told["embedded"]["rows"]), len(record.vertices), 1)
+        for place, one in zip(told["embedded"]["rows"], left, strict=True):
+            row = told["rows"][place]
+            assert 1.0 - float((one.astype(float) ** 2).sum()) == pytest.approx(
+                record.improvement_potential[row], abs=1e-5
+            )
+
+
+def test_a_kernel_from_outside_can_be_fitted(gaussian: Path, tmp_path: Path) -> None:
+    done = python("rbfevo.fit", str(gaussian), "--pick", "knee", "--out", str(tmp_path / "fit"))
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_method_from_outside_searches_and_resumes(tmp_path: Path) -> None:
+    directory = run(tmp_path / "run", "method=walk", "method.generations=3")
+    before = read(directory)
+    assert set(before.method.tolist()) == {"random", "walk"}
+    longer = python("rbfevo", f"resume={directory}", "method.generations=6")
+    assert longer.returncode == 0, longer.stderr
+    whole = read(run(tmp_path / "whole", "method=walk", "method.generations=6"))
+    np.testing.assert_array_equal(read(directory).centers, whole.centers)
+
+
+def test_a_kernel_that_is_not_there_any_more_is_told_in_a_line(gaussian: Path) -> None:
+    command = [sys.executable, "-m", "rbfevo.export", str(gaussian), "--pick", "knee"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "the kernel plugged.Gaussian of the run is not there" in done.stderr
