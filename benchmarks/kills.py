@@ -27,7 +27,7 @@ import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
 
-from rbfevo.methods.method import Record
+from rbfevo.methods.method import HistoryLine
 from rbfevo.runs import checkpoint
 from rbfevo.runs.config import CONF, Settings, check
 from rbfevo.runs.run import carry_out
@@ -118,7 +118,7 @@ def end_of(directory: Path) -> dict[str, Any]:
     """Arrays, history and counts of a run, without its seconds."""
     with np.load(directory / "setups.npz") as archive:
         arrays = {name: (archive[name].dtype.str, archive[name].tobytes()) for name in archive.files}
-    at = Record._fields.index("seconds")
+    at = HistoryLine._fields.index("seconds")
     lines = list(csv.reader(io.StringIO((directory / "history.csv").read_text())))
     summary = json.loads((directory / "summary.json").read_text())
     counts = {key: value for key, value in summary.items() if key not in ("seconds", "evaluations_per_second")}

@@ -15,10 +15,10 @@ import torch
 from omegaconf import OmegaConf
 
 from benchmarks.processors import Processor, environment
-from rbfevo.methods.method import preferred
 from rbfevo.runs.config import check
 from rbfevo.runs.run import Run
 from rbfevo.scenarios import plane
+from rbfevo.scoring.fronts import preferred
 from rbfevo.scoring.kernels import triharmonic, wendland
 from rbfevo.scoring.pareto import hypervolume
 from rbfevo.scoring.symmetric import evaluator_of

@@ -207,7 +207,7 @@ def facts(budget: str) -> dict[str, str]:
     import os
     import platform
 
-    from rbfevo.runs.run import versions
+    from rbfevo.runs.summary import versions
 
     model = ""
     cpuinfo = Path("/proc/cpuinfo")

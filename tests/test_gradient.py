@@ -11,9 +11,10 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.methods.gradient.search import GradientSearch
-from rbfevo.methods.method import Method, Rows, preferred
+from rbfevo.methods.method import Method, Rows
 from rbfevo.runs.config import Settings, check
 from rbfevo.runs.run import Run
+from rbfevo.scoring.fronts import preferred
 from rbfevo.scoring.pareto import hypervolume, nondominated
 
 SMALL = {"starts": 40, "population": 24, "generations": 60, "polish": 6, "front": 20, "coarse": 300}

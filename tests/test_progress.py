@@ -7,13 +7,13 @@ import io
 import pytest
 from rich.console import Console
 
-from rbfevo.methods.method import Record
+from rbfevo.methods.method import HistoryLine
 from rbfevo.runs.progress import Rate, Reporter
 from rbfevo.scoring import compilation
 
 
-def record(method: str = "nsga2") -> Record:
-    return Record(method, float("nan"), 1, 100, 1.0, 0.5, 0.4, 0.3, 0)
+def record(method: str = "nsga2") -> HistoryLine:
+    return HistoryLine(method, float("nan"), 1, 100, 1.0, 0.5, 0.4, 0.3, 0)
 
 
 class Clock:

@@ -16,7 +16,7 @@ from omegaconf import OmegaConf
 
 from rbfevo.commands import resume
 from rbfevo.errors import UserError
-from rbfevo.methods.method import Record
+from rbfevo.methods.method import HistoryLine
 from rbfevo.runs import checkpoint, run
 from rbfevo.runs.config import Settings, check
 from rbfevo.runs.journal import Journal
@@ -83,7 +83,7 @@ def arrays(directory: Path) -> dict[str, np.ndarray]:
 
 def history(directory: Path) -> list[list[str]]:
     """history.csv without the seconds."""
-    at = Record._fields.index("seconds")
+    at = HistoryLine._fields.index("seconds")
     return [line[:at] + line[at + 1 :] for line in csv.reader(io.StringIO((directory / "history.csv").read_text()))]
 
 

@@ -19,11 +19,12 @@ from rbfevo.methods.gradient.search import GradientSearch
 from rbfevo.methods.gradient.teams import FrontTeam, WishTeam
 from rbfevo.methods.gradient.tracing import soft_regularity
 from rbfevo.methods.lloyd import LloydHeuristic, lloyd
-from rbfevo.methods.method import Method, Problem, Rows, preferred
+from rbfevo.methods.method import Method, Problem, Rows
 from rbfevo.methods.nsga2 import Nsga2Search
 from rbfevo.methods.ols import OlsHeuristic, grid_candidates, ols
 from rbfevo.runs.run import Run
 from rbfevo.scoring.evolvability import Scores
+from rbfevo.scoring.fronts import preferred
 from rbfevo.scoring.representations import RBF
 
 NSGA2 = {"_target_": "rbfevo.methods.Nsga2Search", "population": 12, "generations": 3}

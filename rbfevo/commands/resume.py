@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from rbfevo import names
+from rbfevo.choices import WITHOUT_EFFECT
 from rbfevo.errors import UserError
 from rbfevo.runs.directory import CHECKPOINT
 
-FREE = re.compile(r"\+{0,2}(checkpoint(\.\w+)?|quiet|device|method(\.\w+)*\.generations)")
+FREE = re.compile(rf"\+{{0,2}}(({'|'.join(WITHOUT_EFFECT)})(\.\w+)?|method(\.\w+)*\.generations)")
 
 
 def split(words: Sequence[str]) -> tuple[Path | None, list[str]]:
@@ -30,8 +31,8 @@ def split(words: Sequence[str]) -> tuple[Path | None, list[str]]:
     for word in others:
         if not FREE.fullmatch(word.partition("=")[0]):
             raise UserError(
-                f"{word}: this may not change while a run goes on; only method.*generations, checkpoint.*, quiet and "
-                "device may"
+                f"{word}: this may not change while a run goes on; only method.*generations, "
+                f"{', '.join(WITHOUT_EFFECT)} may"
             )
     value = names.name_of(runs[0].partition("=")[2])
     if not value:

@@ -10,7 +10,7 @@ from rbfevo.arrays import Array
 from rbfevo.figures.local_error import local_error
 from rbfevo.recorded.record import Record
 
-FRONT = np.array([0.36, 0.20, 1.0])  # towards the camera: +z is the front, +y is up, slightly turned
+FRONT = np.array([0.0, 0.10, 1.0])  # towards the camera: +z is the front, +y is up, from a little above
 UP = np.array([0.0, 1.0, 0.0])
 FLATTEST = 0.65  # the least height of a panel over its width
 

@@ -62,7 +62,7 @@ def carry_out(options: argparse.Namespace) -> int:
     from rbfevo import figures
     from rbfevo.fit import results, source, strategy
     from rbfevo.methods.method import random_stream
-    from rbfevo.runs.run import Interruption
+    from rbfevo.runs.interruption import Interruption
     from rbfevo.scoring.threads import coarse
 
     say = (lambda _: None) if options.quiet else (lambda line: print(line, flush=True))
@@ -134,7 +134,7 @@ def contents(
     interrupted: int | None,
 ) -> dict[str, Any]:
     """The contents of fit.json; errors in squared model units."""
-    from rbfevo.runs.run import versions
+    from rbfevo.runs.summary import versions
 
     preference = float(record.preference[row])
     stop = fit.stop if interrupted is None else f"interrupted by {signal.Signals(interrupted).name}"

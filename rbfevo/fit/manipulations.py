@@ -11,10 +11,9 @@ from rbfevo.choices import FIT_MANIPULATIONS as MANIPULATIONS
 from rbfevo.choices import refuse_others
 from rbfevo.errors import UserError
 from rbfevo.scenarios.scenario import Scenario
-from rbfevo.scoring.deformation import RBFDeformation
-from rbfevo.scoring.distances import distances
 from rbfevo.scoring.evolvability import evolvability, singular
 from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.representations import RBF
 
 
 class Deformation(NamedTuple):
@@ -58,7 +57,8 @@ def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulatio
     if centers.ndim != 2 or centers.shape[1] != d or not 1 <= len(centers) <= n:
         raise UserError(f"a setup must be [m, {d}] with 1 <= m <= {n}, not {list(centers.shape)}")
     m, root = len(centers), scenario.weights.sqrt()[:, None]
-    Phi = RBFDeformation(scenario.vertices, kernel).phi(centers)
+    representation = RBF(kernel)
+    Phi = representation.phi(scenario.vertices, centers)
     if not bool(centers.isfinite().all() and Phi.isfinite().all()):
         raise UserError("the setup has centers that are not finite")
     regularity, potential, variability = evolvability(Phi, scenario.gradient, scenario.weights)
@@ -70,7 +70,7 @@ def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulatio
     if manipulation == "indirect":
         return Deformation(Phi, torch.eye(m, dtype=Phi.dtype), float(regularity), float(potential))
     if manipulation == "direct":
-        M = kernel(distances(centers, centers))
+        M = representation.psi(centers)
         inverse, _ = torch.linalg.inv_ex(M)
         if bool(singular(M, inverse)):
             raise UserError("Psi is numerically singular, so that these centers cannot be moved directly: "

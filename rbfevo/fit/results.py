@@ -17,7 +17,7 @@ from rbfevo.fit.objective import residuals
 from rbfevo.fit.source import Source
 from rbfevo.fit.strategy import Fit
 from rbfevo.runs.storage import csv_text, npz, write_whole
-from rbfevo.scoring.distances import distances
+from rbfevo.scoring.representations import RBF
 
 RESULTS = ("fit.json", "history.csv", "parameters.npz", "deformed.ply", "fit.png")
 
@@ -41,7 +41,7 @@ def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summar
         "weights": weights.numpy(),
         "deformed": deformed,
         "local_error": local_error,
-        "moved_centers": moved(centers, source.kernel(distances(centers, centers)) @ weights),
+        "moved_centers": moved(centers, RBF(source.kernel).psi(centers) @ weights),
     }
     lines = zip(range(len(fit.errors)), fit.errors.tolist(), fit.steps.tolist(), strict=True)
     try:

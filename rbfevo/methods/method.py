@@ -34,7 +34,7 @@ class Rows(NamedTuple):
     preference: Tensor
 
 
-class Record(NamedTuple):
+class HistoryLine(NamedTuple):
     """One line of the history; hypervolume with reference (0, 0), the best values so far are maximized."""
 
     method: str
@@ -156,13 +156,13 @@ class Method(abc.ABC):
         """For each preference (NaN where none) the objectives [p, 2] that the history's line is made of."""
         return [(math.nan, rows.scores.objectives) for rows in self.rows()]
 
-    def records(self, generation: int, evaluations: int, seconds: float, failed: int) -> list[Record]:
+    def records(self, generation: int, evaluations: int, seconds: float, failed: int) -> list[HistoryLine]:
         """Lines of the history for the state after `generation` steps."""
         progress = self.progress()
         volume = hypervolume(torch.cat([points for _, points in progress])) if progress else 0.0
         best = [points.amax(0).tolist() for _, points in progress]
         return [
-            Record(self.name, preference, generation, evaluations, seconds, volume, regularity, potential, failed)
+            HistoryLine(self.name, preference, generation, evaluations, seconds, volume, regularity, potential, failed)
             for (preference, _), (regularity, potential) in zip(progress, best, strict=True)
         ]
 
@@ -216,11 +216,6 @@ def rows_of(state: dict[str, Any]) -> Rows:
 def no_preference(method: str, centers: Tensor, scores: Scores) -> Rows:
     """Rows of setups that no preference belongs to."""
     return Rows(method, centers, scores, torch.full_like(scores.regularity, math.nan))
-
-
-def preferred(preference: Tensor, objectives: Tensor) -> Tensor:
-    """f = preference R + (1 - preference) P of objectives [..., 2], maximized (paper, eq. 9)."""
-    return preference * objectives[..., 0] + (1.0 - preference) * objectives[..., 1]
 
 
 def unscored(centers: Tensor, objectives: Tensor) -> Scores:

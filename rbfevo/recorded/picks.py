@@ -7,6 +7,7 @@ import numpy as np
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.recorded.record import Record, knee
+from rbfevo.scoring.fronts import preferred
 
 PICKS = ("knee", "best-regularity", "best-improvement-potential", "index:ROW", "preference:LAMBDA")
 
@@ -32,7 +33,7 @@ def pick(record: Record, words: str) -> int:
         return _row(record, value)
     if kind == "preference" and colon:
         preference = _preference(value)
-        return int(usable[np.argmax(preference * R[usable] + (1 - preference) * P[usable])])
+        return int(usable[np.argmax(preferred(preference, np.column_stack([R, P])[usable]))])
     if not colon and kind == "best-regularity":
         return best(usable, R, P)
     if not colon and kind == "best-improvement-potential":

@@ -15,6 +15,7 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
+from rbfevo.scoring.fronts import knee_of
 
 SETUPS = ("centers", "regularity", "improvement_potential", "method", "preference", "nondominated")
 SCENARIO = ("vertices", "faces", "gradient", "weights", "lower", "upper")
@@ -167,18 +168,12 @@ def read_fit(directory: Path) -> FitRecord:
 
 
 def knee(record: Record) -> int | None:
-    """Return the nondominated row farthest from the chord between the front's ends, the lowest of equals; None without.
-
-    It is the row of `rbfevo.scoring.pareto.knee`, told here without importing torch, which takes longer than a figure.
-    """
+    """The nondominated row farthest from the chord between the front's ends, the lowest of equals; None without."""
     rows = np.flatnonzero(record.nondominated & record.scored)
     if rows.size == 0:
         return None
     scores = np.stack([record.regularity[rows], record.improvement_potential[rows]], axis=1)
-    spread = np.ptp(scores, axis=0)
-    scaled = (scores - scores.min(axis=0)) / np.where(spread > 0, spread, 1.0)
-    distance = np.abs(scaled.sum(axis=1) - 1.0)  # times sqrt(2)
-    return int(rows[np.flatnonzero(distance >= distance.max() - 1e-12)[0]])
+    return int(rows[knee_of(scores)])
 
 
 def _arrays(path: Path, names: tuple[str, ...], if_there: tuple[str, ...] = ()) -> dict[str, Array]:

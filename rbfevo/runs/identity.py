@@ -6,10 +6,11 @@ import dataclasses
 from pathlib import Path
 from typing import Any
 
+from rbfevo.choices import WITHOUT_EFFECT
 from rbfevo.errors import UserError
 from rbfevo.methods.method import Method
 from rbfevo.runs.checkpoint import digest, load
-from rbfevo.runs.config import Settings, build
+from rbfevo.runs.config import MOVED, RBF, Settings, build
 
 
 def checkpoint_for(settings: Settings, directory: Path) -> dict[str, Any] | None:
@@ -22,8 +23,8 @@ def checkpoint_for(settings: Settings, directory: Path) -> dict[str, Any] | None
     progress = saved.get("progress")
     if saved.get("settings") != identity(settings):
         raise UserError(
-            f"{directory}: its checkpoint was made with other settings: only method.*generations, checkpoint.*, quiet "
-            "and device may change on the way"
+            f"{directory}: its checkpoint was made with other settings: only method.*generations, "
+            f"{', '.join(WITHOUT_EFFECT)} may change on the way"
         )
     if progress is None:
         return None
@@ -49,8 +50,16 @@ def changes_since(saved: dict[str, Any], facts: dict[str, Any]) -> list[str]:
 def identity(settings: Settings, whole: bool = False) -> str:
     """A hash of the settings that a result depends on; the numbers of generations count only if it is to be `whole`."""
     plain = dataclasses.asdict(settings)
-    for free in ("device", "quiet", "figures", "checkpoint_every"):
+    plain["checkpoint"] = plain.pop("checkpoint_every")
+    for free in WITHOUT_EFFECT:
         del plain[free]
+    if plain["representation"] == RBF:  # checkpoints from before there were others
+        del plain["representation"]
+    before = {now: then for then, now in MOVED.items()}
+    plain["kernel"] = {
+        **plain["kernel"],
+        "_target_": before.get(plain["kernel"]["_target_"], plain["kernel"]["_target_"]),
+    }
     return digest(plain if whole else {**plain, "method": _without_generations(plain["method"])})
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from rbfevo.errors import UserError
 from rbfevo.files import csv_text, write_whole
-from rbfevo.methods.method import Record
+from rbfevo.methods.method import HistoryLine
 from rbfevo.runs import checkpoint
 
 HISTORY = "history.csv"
@@ -43,7 +43,7 @@ class Journal:
         self.directory, self.every, self.facts = directory, every, facts
         self.complaint: str | None = None
         self._path = directory / GROWING
-        self._pending = b"" if saved else csv_text(Record._fields, [])
+        self._pending = b"" if saved else csv_text(HistoryLine._fields, [])
         self._offset = int(saved["history"]) if saved else 0
         if saved:
             self._continue()
@@ -62,7 +62,7 @@ class Journal:
         if length < self._offset:
             raise UserError(f"{path} is shorter than the checkpoint says: start a new run")
 
-    def record(self, records: Sequence[Record]) -> None:
+    def record(self, records: Sequence[HistoryLine]) -> None:
         """Add lines to the history."""
         self._pending += csv_text(None, records)
         if len(self._pending) > BUFFER:

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from rbfevo.methods.method import Record
+from rbfevo.methods.method import HistoryLine
 from rbfevo.scoring.pareto import hypervolume, knee
 
 LINE_EVERY = 10.0  # seconds between lines where the output is not a terminal
@@ -87,7 +87,7 @@ class Reporter:
         """Say one thing."""
         self.console.print(text, markup=False)
 
-    def update(self, evaluations: int, step: int, steps: int, records: Sequence[Record]) -> None:
+    def update(self, evaluations: int, step: int, steps: int, records: Sequence[HistoryLine]) -> None:
         """Show the state after a step of a method."""
         if not records:
             return

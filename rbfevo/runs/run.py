@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import importlib.metadata
-import math
-import platform
 import signal
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import torch
@@ -25,9 +21,11 @@ from rbfevo.runs.checkpoint import digest, tensors
 from rbfevo.runs.config import Settings, build
 from rbfevo.runs.directory import resuming
 from rbfevo.runs.identity import changes_since, checkpoint_for, identity, stages_of
+from rbfevo.runs.interruption import Interruption
 from rbfevo.runs.journal import Journal
 from rbfevo.runs.lock import locked
 from rbfevo.runs.progress import Reporter
+from rbfevo.runs.summary import differences, summary, versions
 from rbfevo.scenarios import reach
 from rbfevo.scenarios.coarse import coarsened, matched
 from rbfevo.scenarios.scenario import Scenario
@@ -46,32 +44,6 @@ MATCHED_ON = 20  # setups
 COUNTERS = ("evaluations", "failed_evaluations", "further_passes", "factorizations", "gradients")
 # Below this many evaluations times vertices, plain torch is done before numba has compiled for the first time (8 s).
 COMPILE_FROM = 10_000_000
-
-
-class Interruption:
-    """Turns the first SIGINT or SIGTERM into a flag that a run looks at between steps; the second ends the process."""
-
-    def __init__(self) -> None:
-        self.signal: int | None = None
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> Interruption:
-        try:
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
-        except ValueError:  # not the main thread: whoever runs us there decides
-            pass
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, _frame: FrameType | None) -> None:
-        if self.signal is not None:
-            signal.signal(number, signal.SIG_DFL)
-            signal.raise_signal(number)
-        self.signal = number
 
 
 class Run:
@@ -316,56 +288,15 @@ class Run:
         )
         return problem
 
-    def summary(self, volume: float) -> dict[str, Any]:
-        """The contents of `summary.json`."""
-        evaluations = self.total("evaluations")
-        return {
-            "scenario": self.scenario.name,
-            "kernel": self.kernel.name,
-            "support": self.kernel.support,
-            "representation": {"name": self.representation.name, **self.representation.spec()},
-            "manipulation": self.settings.manipulation,
-            "method": self.name,
-            "centers": self.settings.centers,
-            "seed": self.settings.seed,
-            "device": describe(self.device),
-            "versions": versions(),
-            "evaluations": evaluations,
-            "failed_evaluations": self.total("failed_evaluations"),
-            "further_passes": self.total("further_passes"),
-            "factorizations": self.total("factorizations"),
-            "gradients": self.total("gradients"),
-            "coarse_vertices": [len(evaluator.deformation.vertices) for evaluator in self.coarse_evaluators],
-            "scored_by": "definition" if self._defined else "evaluator",
-            "seconds": self.seconds,
-            "evaluations_per_second": evaluations / self.seconds if self.seconds > 0 else 0.0,
-            "hypervolume": volume,
-            "stop_reason": self.stop_reason,
-            "evaluator": self.evaluator.backend,
-            "threads": self.threads,
-            "gradient_norm": self.scenario.gradient_norm if math.isfinite(self.scenario.gradient_norm) else None,
-            "gradient_is": "direction" if self.scenario.direction_only else "displacement",
-            "symmetry": self._symmetry(),
-            "up": self.scenario.up,
-            "vertices": len(self.scenario.vertices),
-            "search_vertices": len(self.searched.vertices),
-            "search_differences": self.differences,
-            "notes": self.scenario.notes,
-            "warnings": self.warnings,
-        }
-
-    def _symmetry(self) -> dict[str, Any] | None:
-        mirror = self.scenario.mirror
-        return None if mirror is None else {"axis": "xyz"[mirror.axis], "at": mirror.at}
-
     @property
-    def _defined(self) -> bool:
+    def defined(self) -> bool:
+        """Whether the rows of the result are scored by the definition."""
         return len(self.scenario.vertices) * self.settings.centers <= DEFINED_UP_TO
 
     def _final(self, centers: torch.Tensor) -> Scores:
         """Scores on all vertices, by the definition where U is not too large for that."""
         evaluator = self.full_evaluator
-        if self._defined:
+        if self.defined:
             return evaluator.definition(centers)
         return evaluator_of(
             self.scenario.to(self.device), self.representation, self.settings.manipulation, evaluator.backend
@@ -387,7 +318,7 @@ class Run:
         storage.write_scenario(directory, self.scenario)
         storage.write_setups(directory, table)
         journal.publish()
-        storage.write_summary(directory, self.summary(hypervolume(objectives)))
+        storage.write_summary(directory, summary(self, hypervolume(objectives)))
         drawn = figures.draw(directory) if self.settings.figures else []
         for warning in [*self.warnings[self.told :], *drawn]:
             reporter.line(f"warning: {warning}")
@@ -463,25 +394,6 @@ def unused_preferences(settings: Settings) -> list[str]:
     ]
 
 
-def differences(searched: Sequence[Rows], final: Sequence[Rows]) -> dict[str, float] | None:
-    """How far scores on a search's vertices were from those on all: (R' - R)/R and P' - P, R' and P' the search's.
-
-    Medians tell the bias, the others the largest size; g is scaled so that P fits for random setups. None where there
-    are no rows.
-    """
-    if not searched:
-        return None
-    before, after = (torch.cat([row.scores.objectives for row in rows]) for rows in (searched, final))
-    relative = (before[:, 0] - after[:, 0]) / after[:, 0].clamp_min(1e-12)
-    absolute = before[:, 1] - after[:, 1]
-    return {
-        "regularity_median": float(relative.median()),
-        "regularity_largest": float(relative.abs().max()),
-        "improvement_potential_median": float(absolute.median()),
-        "improvement_potential_largest": float(absolute.abs().max()),
-    }
-
-
 def chosen_device(name: str) -> torch.device:
     """The device that `device=` asks for.
 
@@ -491,19 +403,3 @@ def chosen_device(name: str) -> torch.device:
     if name == "cuda" and not torch.cuda.is_available():
         raise UserError("device=cuda: torch sees no CUDA device here; use device=cpu or device=auto")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
-
-
-def describe(device: torch.device) -> str:
-    """The device in words: `cpu`, or `cuda (NVIDIA ...)`."""
-    return f"cuda ({torch.cuda.get_device_name(device)})" if device.type == "cuda" else device.type
-
-
-def versions() -> dict[str, str]:
-    """Versions of what the numbers of a run depend on."""
-    found = {"python": platform.python_version()}
-    for package in ("rbfevo", "torch", "numpy", "scipy", "numba", "trimesh", "pyvista", "hydra-core", "mne"):
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.scoring.fronts import knee_of
 
 
 def ranks(objectives: Tensor, enough: int | None = None) -> Tensor:
@@ -213,10 +214,7 @@ def well_spread(objectives: Tensor, count: int) -> Tensor:
 
 
 def knee(objectives: Tensor) -> int:
-    """Row of the knee: the nondominated row farthest from the chord between the front's two ends.
-
-    Both axes are scaled to [0, 1] over the front first; the distance counts on either side of the chord. Equal
-    distances (within 1e-12) go to the lowest row: so do a front of one point, its duplicates, and a front of two.
+    """Row of the knee: the nondominated row farthest from the chord between the front's two ends (`knee_of`).
 
     Args:
         objectives: [n, 2], maximized. Rows that are not finite are left out.
@@ -229,9 +227,4 @@ def knee(objectives: Tensor) -> int:
         raise UserError("there is no knee: no setup has finite objectives; check the scores of the setups")
     rows = finite.nonzero().squeeze(1)
     rows = rows[nondominated(objectives[rows])]
-    front = objectives[rows]
-    low = front.amin(dim=0)
-    spread = front.amax(dim=0) - low
-    scaled = (front - low) / spread.where(spread > 0, 1.0)
-    distance = (scaled.sum(dim=1) - 1.0).abs()  # from the chord (0, 1) - (1, 0), times sqrt(2)
-    return int(rows[(distance >= distance.max() - 1e-12).nonzero()[0, 0]])
+    return int(rows[knee_of(objectives[rows].cpu().numpy())])

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.methods.cmaes.algorithm import CMAES
-from rbfevo.methods.method import Method, Problem, Rows, at_least_one, preferred, unscored
+from rbfevo.methods.method import Method, Problem, Rows, at_least_one, unscored
+from rbfevo.scoring.fronts import preferred
 
 
 class CmaesSearch(Method):

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rbfevo.methods.gradient.lbfgs import LBFGS
 from rbfevo.methods.gradient.tracing import Aim, Archive, Preference, Tchebycheff, WeightedSum, aim_of, front_normals
-from rbfevo.methods.method import preferred
+from rbfevo.scoring.fronts import preferred
 from rbfevo.scoring.pareto import well_spread
 
 TAU = 0.1

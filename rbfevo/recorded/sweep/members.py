@@ -16,11 +16,12 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from rbfevo.arrays import Array
+from rbfevo.choices import WITHOUT_EFFECT
 from rbfevo.errors import UserError
 from rbfevo.recorded.record import Record, read
 
 # How and where a run was carried out, which does not matter to what it finds.
-MATTERLESS = ("device", "evaluator", "experiment", "figures", "quiet", "manipulation.name")
+MATTERLESS = (*WITHOUT_EFFECT, "checkpoint.every", "evaluator", "experiment", "manipulation.name")
 DIGITS = 2.0**-24  # of the largest number: smaller differences of two meshes are rounding
 
 

@@ -52,9 +52,9 @@ function frontFigure(state) {
   traces.push(ring(state.knee, "knee", colors.ink, 15, 1.2), ring(state.kept, "kept", colors.accent, 20, 3), ring(state.chosen, "chosen", colors.center, 20, 3));
   const narrow = byId("front").clientWidth < 520;
   const layout = {
-    uirevision: `${state.filterKey} ${log}`, margin: { l: 56, r: 12, t: 10, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: colors.ink, size: 12 }, hovermode: "closest", dragmode: touched() ? false : "zoom",
+    uirevision: `${state.filterKey} ${log}`, margin: { l: 56, r: 12, t: 30, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: colors.ink, size: 12 }, hovermode: "closest", dragmode: touched() ? false : "zoom",
     hoverlabel: { bgcolor: colors.paper, bordercolor: colors.grey, font: { color: colors.ink } },
-    legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0, font: { size: narrow ? 10 : 12 } },
+    legend: { orientation: "h", yref: "container", y: 0, yanchor: "bottom", x: 0, font: { size: narrow ? 10 : 12 } }, // the buttons are above
     xaxis: { ...axisLook(colors), title: { text: `regularity R${log ? " (logarithmic)" : ""} →` }, type: log ? "log" : "linear", zeroline: false, ...(log ? { range: [Math.log10(scale.low), Math.log10(scale.high)], exponentformat: "power", dtick: 1 } : {}) },
     yaxis: { ...axisLook(colors), title: { text: "improvement potential P →" }, zeroline: false },
     shapes: log && scale.zeros ? [{ type: "rect", xref: "x", yref: "paper", x0: scale.low, x1: scale.edge, y0: 0, y1: 1, fillcolor: colors.line, opacity: 0.4, line: { width: 0 }, layer: "below" }] : [],

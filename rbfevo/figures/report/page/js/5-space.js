@@ -187,7 +187,7 @@ function drawScale(state) {
   if (mesh.n < mesh.of) said.push(`Shown and computed here on ${mesh.n.toLocaleString("en")} of ${mesh.of.toLocaleString("en")} vertices; R and P are those of all.`);
   if (state.shape !== "template") said.push("Centers stay where they are at first.");
   if (state.shape !== "template" && mesh.remark) said.push(`Shape: ${mesh.remark}.`);
-  if (state.color === "left" && state.chosen && !tells(state.chosen)) said.push("This page does not hold what this setup leaves.");
+  if (state.color === "left" && state.chosen && !tells(state.chosen)) said.push("What this setup leaves is not known to this page.");
   if (state.seeThrough === false && mesh.d === 3) said.push("Centers inside or behind the surface: see through it, or turn it.");
   byId("view-hint").textContent = said.join(" ");
 }

@@ -1,0 +1,91 @@
+"""What summary.json says of a run."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import math
+import platform
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from rbfevo.methods.method import Rows
+
+if TYPE_CHECKING:
+    from rbfevo.runs.run import Run
+
+
+def summary(run: Run, volume: float) -> dict[str, Any]:
+    """The contents of `summary.json`."""
+    evaluations, mirror = run.total("evaluations"), run.scenario.mirror
+    symmetry = None if mirror is None else {"axis": "xyz"[mirror.axis], "at": mirror.at}
+    return {
+        "scenario": run.scenario.name,
+        "kernel": run.kernel.name,
+        "support": run.kernel.support,
+        "representation": {"name": run.representation.name, **run.representation.spec()},
+        "manipulation": run.settings.manipulation,
+        "method": run.name,
+        "centers": run.settings.centers,
+        "seed": run.settings.seed,
+        "device": describe(run.device),
+        "versions": versions(),
+        "evaluations": evaluations,
+        "failed_evaluations": run.total("failed_evaluations"),
+        "further_passes": run.total("further_passes"),
+        "factorizations": run.total("factorizations"),
+        "gradients": run.total("gradients"),
+        "coarse_vertices": [len(evaluator.deformation.vertices) for evaluator in run.coarse_evaluators],
+        "scored_by": "definition" if run.defined else "evaluator",
+        "seconds": run.seconds,
+        "evaluations_per_second": evaluations / run.seconds if run.seconds > 0 else 0.0,
+        "hypervolume": volume,
+        "stop_reason": run.stop_reason,
+        "evaluator": run.evaluator.backend,
+        "threads": run.threads,
+        "gradient_norm": run.scenario.gradient_norm if math.isfinite(run.scenario.gradient_norm) else None,
+        "gradient_is": "direction" if run.scenario.direction_only else "displacement",
+        "symmetry": symmetry,
+        "up": run.scenario.up,
+        "vertices": len(run.scenario.vertices),
+        "search_vertices": len(run.searched.vertices),
+        "search_differences": run.differences,
+        "notes": run.scenario.notes,
+        "warnings": run.warnings,
+    }
+
+
+def differences(searched: Sequence[Rows], final: Sequence[Rows]) -> dict[str, float] | None:
+    """How far scores on a search's vertices were from those on all: (R' - R)/R and P' - P, R' and P' the search's.
+
+    Medians tell the bias, the others the largest size; g is scaled so that P fits for random setups. None where there
+    are no rows.
+    """
+    if not searched:
+        return None
+    before, after = (torch.cat([row.scores.objectives for row in rows]) for rows in (searched, final))
+    relative = (before[:, 0] - after[:, 0]) / after[:, 0].clamp_min(1e-12)
+    absolute = before[:, 1] - after[:, 1]
+    return {
+        "regularity_median": float(relative.median()),
+        "regularity_largest": float(relative.abs().max()),
+        "improvement_potential_median": float(absolute.median()),
+        "improvement_potential_largest": float(absolute.abs().max()),
+    }
+
+
+def describe(device: torch.device) -> str:
+    """The device in words: `cpu`, or `cuda (NVIDIA ...)`."""
+    return f"cuda ({torch.cuda.get_device_name(device)})" if device.type == "cuda" else device.type
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers of a run depend on."""
+    found = {"python": platform.python_version()}
+    for package in ("rbfevo", "torch", "numpy", "scipy", "numba", "trimesh", "pyvista", "hydra-core", "mne"):
+        try:
+            found[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found

@@ -1,0 +1,182 @@
+"""What every option of a group keeps: yaml and signature agree; contracts of methods, representations and kernels."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+from rbfevo.recorded.record import read
+from rbfevo.runs import run
+from rbfevo.runs.config import CONF, Settings, build, target_of
+from rbfevo.scenarios import plane
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.kernels import Kernel, kernel_of
+from rbfevo.scoring.representations import Pull, Representation, representation_of
+
+GROUPS = ("scenario", "kernel", "representation", "method")
+OPTIONS = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
+METHODS = {  # small budgets
+    "cmaes": {"parents": 4, "population": 8, "generations": 3},
+    "gradient": {"starts": 16, "population": 16, "generations": 6, "polish": 2, "front": 6, "coarse": 100},
+    "lloyd": {"starts": 2},
+    "nsga2": {"population": 12, "generations": 3},
+    "ols": {"per_axis": 6},
+    "random": {"population": 5},
+}
+
+
+def option(group: str, name: str) -> dict[str, Any]:
+    return yaml.safe_load((CONF / group / f"{name}.yaml").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(("group", "name"), OPTIONS, ids=[f"{group}-{name}" for group, name in OPTIONS])
+def test_defaults_of_yaml_and_signature_are_equal(group: str, name: str) -> None:
+    node = option(group, name)
+    target = target_of(node["_target_"])
+    parameters = inspect.signature(target).parameters
+    for key, value in node.items():
+        if key in ("_target_", "defaults") or isinstance(value, dict):
+            continue
+        assert key in parameters, f"{name}.yaml has {key}, which its target does not take"
+        default = parameters[key].default
+        if default is inspect.Parameter.empty or value == "???":
+            continue
+        default = list(default) if isinstance(default, tuple) else default
+        assert value == default, f"{key} is {value} in {name}.yaml and {default} in the signature"
+    free = [key for key, kind in parameters.items() if kind.default is not inspect.Parameter.empty]
+    positional = {"default_support", "diagonal"}  # what the run hands in
+    if not {"defaults"} & set(node):
+        assert set(free) - positional <= set(node), "a key of the signature is missing in the yaml"
+
+
+def settings(method: str, seed: int = 3, **changes: Any) -> Settings:
+    node = {**option("method", method), **METHODS[method]}
+    made: dict[str, Any] = {
+        "scenario": {"_target_": "rbfevo.scenarios.plane", "resolution": [12, 24], "support": 0.5},
+        "kernel": option("kernel", "wendland"),
+        "method": node,
+        "representation": option("representation", "rbf"),
+        "manipulation": "indirect",
+        "seed": seed,
+        "centers": 4,
+        "preferences": None,
+        "device": "cpu",
+        "evaluator": "eager",
+        "figures": False,
+        "quiet": True,
+        "checkpoint_every": 0.0,
+    }
+    return Settings(**{**made, **changes})
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_stays_in_the_box_and_follows_its_seed(method: str, tmp_path: Path) -> None:
+    found = []
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        assert run.carry_out(settings(method, seed), tmp_path / name) == 0
+        found.append(read(tmp_path / name))
+    record = found[0]
+    own = record.centers[record.method == method]
+    assert len(own)
+    assert np.isfinite(own).all()
+    assert (own >= record.lower - 1e-12).all()
+    assert (own <= record.upper + 1e-12).all()
+    np.testing.assert_array_equal(record.centers, found[1].centers)
+    if method != "ols":  # which draws nothing
+        assert not np.array_equal(record.centers, found[2].centers)
+
+
+@pytest.mark.parametrize("method", [name for name in METHODS if name not in ("lloyd", "ols", "random")])
+def test_every_search_survives_scores_that_are_nan_and_goes_on_from_its_state(method: str) -> None:
+    def started() -> Any:
+        made = run.Run(settings(method))
+        problem = made.problem()
+        stage = made.stages[0]
+        stage.start(problem)
+        return stage
+
+    plain, resumed = started(), started()
+    for _ in range(2):
+        plain.step()
+    resumed.load_state_dict(plain.state_dict())
+    plain.step()
+    resumed.step()
+    for a, b in zip(plain.rows(), resumed.rows(), strict=True):
+        torch.testing.assert_close(a.centers, b.centers, rtol=0.0, atol=0.0)
+    made = run.Run(settings(method))
+    evaluate = made.full_evaluator
+
+    def failing(setups: torch.Tensor) -> Any:
+        setups = setups.clone()
+        setups[..., :1, :, :] = torch.nan
+        return Evaluator.__call__(evaluate, setups)
+
+    if method != "gradient":  # which asks for gradients instead
+        import dataclasses
+
+        stage = made.stages[0]
+        stage.start(dataclasses.replace(made.problem(), evaluate=failing))
+        for _ in range(stage.steps):
+            stage.step()
+        for rows in stage.rows():
+            assert bool(torch.isfinite(rows.centers).all())
+        assert evaluate.failed_evaluations > 0
+
+
+@pytest.fixture(params=["wendland", "triharmonic"])
+def kernel(request: pytest.FixtureRequest) -> Kernel:
+    return build(option("kernel", request.param), 2, 0.5, 2.0)
+
+
+def test_every_kernel_is_one_formula_for_numpy_and_torch(kernel: Kernel) -> None:
+    r = np.array([0.0, 1e-9, 0.1, 0.49, 0.5, 0.51, 3.0])
+    for formula in (kernel.phi, kernel.slope):
+        ours, theirs = formula(r), formula(torch.from_numpy(r))
+        assert isinstance(ours, np.ndarray)
+        np.testing.assert_allclose(ours, theirs.numpy(), rtol=1e-15, atol=0)
+    h = 1e-6
+    inner = r[2:4]
+    np.testing.assert_allclose(
+        (kernel(inner + h) - kernel(inner - h)) / (2 * h), kernel.slope(inner) * inner, rtol=1e-7
+    )
+    again = kernel_of(kernel.spec())
+    assert type(again) is type(kernel)
+    np.testing.assert_array_equal(again(r), kernel(r))
+
+
+@pytest.mark.parametrize("manipulation", ["indirect", "direct"])
+def test_every_representation_is_one_formula_and_has_its_gradients(kernel: Kernel, manipulation: str) -> None:
+    scenario = plane((9, 18))
+    representation: Representation = build(option("representation", "rbf"), scenario, kernel, 4)
+    space = representation.space(scenario, 4)
+    setups = space.place(space.sample(3, torch.Generator().manual_seed(1)))
+    assert bool(((setups >= space.lower) & (setups <= space.upper)).all())
+    phi = representation.phi(scenario.vertices, setups)
+    assert phi.shape == (3, len(scenario.vertices), representation.columns(setups))
+    read_back = representation_of(representation.spec())
+    for setup, one in zip(setups, phi, strict=True):
+        found = read_back.phi(scenario.vertices.numpy(), setup.numpy())
+        np.testing.assert_allclose(found, one.numpy(), rtol=1e-12, atol=1e-14)
+    factor = torch.linalg.cholesky(phi.mT @ phi)
+    reduced = representation.reduce(setups, factor, manipulation)
+    assert not bool(reduced.singular.any())
+    for setup, one, small in zip(setups, phi, reduced.factor, strict=True):
+        U = representation.matrix(one, setup, manipulation)
+        assert U is not None
+        torch.testing.assert_close(torch.linalg.svdvals(small), torch.linalg.svdvals(U), rtol=1e-6, atol=1e-9)
+    weights = torch.randn(phi.mT.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    leaf = setups.clone().requires_grad_()
+    (by_autograd,) = torch.autograd.grad((representation.phi(scenario.vertices, leaf).mT * weights).sum(), leaf)
+    closed = representation.pull(scenario.vertices, setups, weights)
+    assert closed is not None
+    torch.testing.assert_close(closed, by_autograd, rtol=1e-9, atol=1e-12)
+    identity = torch.eye(4, dtype=torch.float64).expand(3, 4, 4)
+    through = representation.pull_reduction(setups, Pull(identity, identity))
+    assert through is not None
+    assert through.shape == setups.shape
