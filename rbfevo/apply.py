@@ -19,10 +19,10 @@ from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import Setup, setup
 
-FAR = 0.01  # of the largest displacement of a center: what moves farther outside the box is told
+FAR = 0.01  # of the largest displacement of a center: what moves farther outside the box gets a warning
 DESCRIPTION = """Deform a mesh with the control points of one setup of a run.
 
-You say how far each control point moves (--displacements, in the unit of the mesh), as in the displacements.csv that
+You give how far each control point moves (--displacements, in the unit of the mesh), as in the displacements.csv that
 python -m rbfevo.export writes; every point of the mesh follows. The mesh can be the template of the run or any other
 one in the same place and unit: a finer surface, a volume mesh, a cloud. All else in its file is kept."""
 EPILOG = f"""Meshes: {", ".join(ending[1:] for ending in meshes.ENDINGS)}.
@@ -45,7 +45,7 @@ def parser() -> parsers.Parser:
     made.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the deformed mesh goes")
     made.add_argument("--force", action="store_true", help="write a volume mesh even if cells of it turn inside out")
     made.add_argument("--overwrite", action="store_true", help="replace --out if it is there")
-    made.add_argument("--quiet", action="store_true", help="say nothing but warnings")
+    made.add_argument("--quiet", action="store_true", help="print nothing but warnings")
     return made
 
 

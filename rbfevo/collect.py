@@ -12,7 +12,7 @@ from rbfevo.errors import UserError
 from rbfevo.files import write_whole
 from rbfevo.recorded import sweep
 
-DESCRIPTION = """Collect the runs at and below a directory, and say which setting is best for their mesh.
+DESCRIPTION = """Collect the runs at and below a directory, and print which setting is best for their mesh.
 
 runs.csv     a line for each run and each of its series (all its setups, and those of each method)
 medians.csv  medians and quartiles over the seeds, a line for each setting and series
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def carry_out(options: argparse.Namespace) -> None:
-    """Write the tables of a sweep and say what is best.
+    """Write the tables of a sweep and print what is best.
 
     Raises:
         UserError: for a user's mistake.

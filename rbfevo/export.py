@@ -46,7 +46,7 @@ def parser() -> parsers.Parser:
         help="where the run knows a direction only (a sensitivity): the largest displacement of a vertex, as a part "
         f"of the diagonal of the mesh, such as {STEP:g} or {100 * STEP:g}%%",
     )
-    made.add_argument("--quiet", action="store_true", help="say nothing")
+    made.add_argument("--quiet", action="store_true", help="print nothing")
     return made
 
 

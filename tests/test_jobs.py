@@ -233,7 +233,7 @@ def test_a_job_that_ended_without_a_word_is_told_of():
     found = [jobs.Outcome(0, ["a=1", "b=2"], "0", "s", 0), jobs.Outcome(1, ["a=1", "b=3"], "1", "s", None)]
     assert jobs.summary(found) == [
         "1 of 2 jobs failed:",
-        "  1 (b=3): its process ended without a word",
+        "  1 (b=3): its process ended without a result",
         "start the same sweep again to take up what is not done, and nothing else",
     ]
 

@@ -1,6 +1,6 @@
 """The jobs of a sweep: which are done already, where each one works, how many threads it has, and what became of it.
 
-Jobs may be processes of a launcher's, on other machines too; they tell what became of them by files in the sweep's
+Jobs may be processes of a launcher's, on other machines too; they leave their outcomes in files of the sweep's
 directory. What they are is recognized by their settings, not by their number.
 """
 
@@ -97,7 +97,7 @@ def place_of(sweep: Path, numbered: Path, whole: str) -> tuple[Path, str]:
 
 
 def summary(found: list[Outcome]) -> list[str]:
-    """What there is to say at the end of a sweep."""
+    """The lines to print at the end of a sweep."""
     common = set.intersection(*(set(outcome.words) for outcome in found)) if found[1:] else set()
 
     def told(outcome: Outcome) -> str:
@@ -115,7 +115,7 @@ def summary(found: list[Outcome]) -> list[str]:
     if failed or lost:
         lines.append(f"{len(failed) + len(lost)} of {len(found)} jobs failed:")
         lines += [f"{told(outcome)}: {outcome.message or 'no reason given'}" for outcome in failed]
-        lines += [f"{told(outcome)}: its process ended without a word" for outcome in lost]
+        lines += [f"{told(outcome)}: its process ended without a result" for outcome in lost]
     if stopped:
         lines.append("interrupted")
     if failed or lost or stopped:

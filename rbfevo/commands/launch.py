@@ -1,4 +1,4 @@
-"""From the words of the command line to one run, or the jobs of a sweep, and an exit code."""
+"""From the arguments of the command line to one run, or the jobs of a sweep, and an exit code."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ HYDRA = ".hydra"
 
 
 class Hydras(NamedTuple):
-    """What Hydra says of a run: where it is to work, where Hydra was started, the words, and the options of groups."""
+    """A run as Hydra has it: its directory, where Hydra was started, the overrides, and options of groups."""
 
     directory: Path
     cwd: str
@@ -62,7 +62,7 @@ class Hydras(NamedTuple):
 
 
 def job(config: DictConfig) -> None:
-    """One job of a sweep: never raises, so that one failed job does not end the others; tells what became of it."""
+    """One job of a sweep: never raises, so that one failed job does not end the others; its outcome is saved."""
     parsers.steady_streams()  # those of a launcher's process
     said, hydras = HydraConfig.get(), Hydras.now()
     sweep = Path(hydras.cwd, said.sweep.dir)
@@ -70,7 +70,7 @@ def job(config: DictConfig) -> None:
     jobs.tell(outcome)
 
     def work() -> int:
-        """Read the settings, and do what they say; its exit code, or SKIPPED."""
+        """Check the settings and carry them out; return the exit code, or SKIPPED."""
         nonlocal outcome
         top = check_top(config)
         outcome = outcome._replace(figures=top.figures, quiet=top.quiet)
@@ -302,7 +302,7 @@ def _refuse_options(words: Sequence[str]) -> None:
 
 @contextlib.contextmanager
 def _held(words: Sequence[str]) -> Iterator[None]:
-    """Hold the lock of the run or sweep directory that a word names, before Hydra writes anything there."""
+    """Hold the lock of the run or sweep directory that an argument names, before Hydra writes anything there."""
     named = [name for key in names.DIRECTORIES for name in names.given(words, key)]
     with contextlib.ExitStack() as stack:
         for name in named:

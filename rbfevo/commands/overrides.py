@@ -1,4 +1,4 @@
-"""What can be wrong with the words of the command line, in one clear line each."""
+"""What can be wrong with the arguments of the command line, in one clear line each."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def look_over(words: Sequence[str], conf: Path) -> None:
     `hydra.run.dir=DIR` where DIR holds results: Hydra would overwrite `.hydra/`.
 
     Raises:
-        UserError: naming the word or the directory.
+        UserError: naming the argument or the directory.
     """
     for before, word in itertools.pairwise(["", *words]):
         key, equals, value = word.partition("=")
@@ -38,7 +38,7 @@ def look_over(words: Sequence[str], conf: Path) -> None:
             raise UserError(f"{word}: choose one of {there}, or leave it out")
         option = word.startswith(("-", "~")) or (before.startswith("-") and before not in names.SWEEP)
         if not key.strip("+~ ") or not (equals or option):
-            raise UserError(f"{word or 'an empty word'}: a setting is written key=value")
+            raise UserError(f"{word or 'an empty argument'}: a setting is written key=value")
     names.refuse_unheld(Path.cwd(), f"the present directory, {Path.cwd()}")
     for key in names.DIRECTORIES:
         for directory in names.given(words, key):
@@ -106,7 +106,7 @@ def composed(words: Sequence[str], conf: Path) -> DictConfig:
 
 @contextlib.contextmanager
 def initialized(conf: Path) -> Iterator[Any]:
-    """Let Hydra find the configuration, whatever it was at before in this process; yields what carries out words."""
+    """Let Hydra find the configuration, whatever it was at before in this process; yields what carries out overrides."""
     GlobalHydra.instance().clear()
     with hydra.initialize_config_dir(str(conf), job_name="rbfevo", version_base="1.3"):
         yield GlobalHydra.instance().hydra

@@ -54,7 +54,7 @@ def carried_out(
     carry_out: Callable[[argparse.Namespace], int | None],
     arguments: Sequence[str] | None,
 ) -> int:
-    """Read the words of a command line and carry them out; the exit code."""
+    """Parse a command line and carry it out; return the exit code."""
     made = parser()
     return outcome(made.name, lambda: carry_out(made.parse_args(arguments)))
 

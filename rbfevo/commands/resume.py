@@ -1,4 +1,4 @@
-"""`resume=RUN`: the words that made a run and are in its checkpoint, with those that may change on the way."""
+"""`resume=RUN`: the overrides of a run, from its checkpoint, with those that may change on the way."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ FREE = re.compile(rf"\+{{0,2}}(({'|'.join(WITHOUT_EFFECT)})(\.\w+)?|method(\.\w+
 
 
 def split(words: Sequence[str]) -> tuple[Path | None, list[str]]:
-    """The run directory of `resume=RUN`, None if no word says so, and the other words.
+    """The run directory of `resume=RUN`, None without one, and the other overrides.
 
     Raises:
-        UserError: if two words say so, or one beside a sweep, or another word may not change on the way.
+        UserError: for two of them, for one beside a sweep, or an override that may not change on the way.
     """
     runs = [word for word in words if word.partition("=")[0] == "resume"]
     others = [word for word in words if word.partition("=")[0] != "resume"]
@@ -54,16 +54,16 @@ def began_in(run: Path) -> Path:
 
 
 def recorded(run: Path, others: Sequence[str]) -> list[str]:
-    """The words that a run was made with, `others` in the place of those with the same key.
+    """The overrides that a run was made with, `others` in the place of those with the same key.
 
     Raises:
-        UserError: if there is no checkpoint, or it does not tell them.
+        UserError: if there is no checkpoint, or it does not hold them.
     """
     from rbfevo.runs import checkpoint
 
     words = checkpoint.head(run).get("words")
     if not isinstance(words, list) or not all(isinstance(word, str) for word in words):
-        raise UserError(f"{run / CHECKPOINT} does not tell how the run was made: start a new run")
+        raise UserError(f"{run / CHECKPOINT} does not hold how the run was made: start a new run")
     changed = {_key(word) for word in others}
     kept = [word for word in words if _key(word) not in changed]
     return [*kept, *others, names.word("hydra.run.dir", run)]

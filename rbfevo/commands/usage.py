@@ -1,4 +1,4 @@
-"""What `python -m rbfevo --help` says: the groups with their options, and every key with its value."""
+"""What `python -m rbfevo --help` prints: the groups with their options, and every key with its value."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ HEAD = """python -m rbfevo [KEY=VALUE ...]            one run
 python -m rbfevo -m KEY=VALUE,VALUE ...     a sweep: a run for each combination of the values
 python -m rbfevo resume=RUN [KEY=VALUE ...] go on with a run that was stopped
 
-hydra.run.dir=DIR and, with -m, hydra.sweep.dir=DIR say where the results go; outputs/DATE/TIME unless given. A name
+hydra.run.dir=DIR and, with -m, hydra.sweep.dir=DIR set where the results go; outputs/DATE/TIME unless given. A name
 with blanks, quotes, commas or other signs is given as it is: hydra.run.dir='a (1)' in a shell."""
 TAIL = """--cfg job shows what a run would be made of, --hydra-help what else Hydra can do.
 Of a run: python -m rbfevo.show, .figures, .export, .apply and .fit; of a sweep: python -m rbfevo.collect."""
 
 
 def text(words: Sequence[str], conf: Path) -> str:
-    """The help for some words: the keys are those of the options that they choose."""
+    """The help for some overrides: the keys are those of the options that they choose."""
     config = OmegaConf.to_container(overrides.composed(words, conf), resolve=False)
     groups = [_group(path) for path in sorted(conf.iterdir()) if path.is_dir()]
     return "\n\n".join([HEAD, *groups, f"Keys, with the values of these options:\n{_lines(config)}", TAIL])
@@ -38,7 +38,7 @@ def _group(directory: Path) -> str:
 
 
 def _lines(node: Any, path: str = "") -> str:
-    """Keys and values as words."""
+    """Keys and values as text."""
     lines = []
     for key, value in node.items():
         if isinstance(value, dict):

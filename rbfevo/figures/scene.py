@@ -52,7 +52,7 @@ class State:
         """Start with the setup that `words` pick (`rbfevo.recorded.picks`).
 
         Raises:
-            UserError: if there is no such setup, or this run does not tell what `colour` or `shape` needs.
+            UserError: if there is no such setup, or this run does not hold what `colour` or `shape` needs.
         """
         self.record, self.row, self.other = record, pick(record, words), other
         self.names = {}

@@ -34,7 +34,7 @@ def parser() -> parsers.Parser:
     made.add_argument("--parents", type=int, default=25)
     made.add_argument("--population", type=int, default=100)
     made.add_argument("--out", type=Path, help="directory to write; RUN/fit-PICK-MANIPULATION-STRATEGY-seedN")
-    made.add_argument("--quiet", action="store_true", help="say nothing")
+    made.add_argument("--quiet", action="store_true", help="print nothing")
     return made
 
 

@@ -15,7 +15,7 @@ REJECTIONS = ("boundary", "none")
 
 
 class Pairing(NamedTuple):
-    """Displacements [n, 3] of vertices to their closest points, 0 where the pair is `rejected` [n]; notes in words.
+    """Displacements [n, 3] of vertices to their closest points, 0 where the pair is `rejected` [n]; notes.
 
     `query` gives the closest points of any others.
     """
@@ -33,7 +33,7 @@ def pair(points: Points, outward: Points, vertices: Points, triangles: Triangles
         reject: "boundary" rejects pairs that end on the surface's open boundary, or reach beyond a cloud's rim; "none".
 
     Raises:
-        UserError: for another word.
+        UserError: for another choice.
     """
     if reject not in REJECTIONS:
         raise UserError(f"reject must be one of {', '.join(REJECTIONS)}, not {reject!r}")

@@ -40,7 +40,7 @@ def merge_coincident(vertices: Points, triangles: Triangles | None) -> tuple[Poi
 
 
 def drop_strays(vertices: Points, triangles: Triangles | None) -> tuple[Points, Triangles | None, int]:
-    """Drop stray vertices, with their triangles, and tell how many there were.
+    """Drop stray vertices, with their triangles, and return how many there were.
 
     Strays are farther from the median point than 5 times the median such distance, and at most 1% of the vertices;
     if more lie out there they belong to the scan. One flying pixel of a scanner must not set the scale.

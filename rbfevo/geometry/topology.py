@@ -1,4 +1,4 @@
-"""What a triangle mesh is like: its oddities in words, a consistent winding, normals and areas of its vertices."""
+"""What a triangle mesh is like: its oddities, a consistent winding, normals and areas of its vertices."""
 
 from __future__ import annotations
 

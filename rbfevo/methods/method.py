@@ -1,4 +1,4 @@
-"""What a method is to a run: it starts, takes one step after the other, and can say at any time what it has found."""
+"""What a method is to a run: it starts, takes one step after the other, and has at any time what it has found."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class Method(abc.ABC):
         """What has been found so far."""
 
     def state_dict(self) -> dict[str, Any]:
-        """All that steps change, as tensors, numbers and words, by name; copies, so that it stays as it is."""
+        """All that steps change, as tensors, numbers and text, by name; copies, so that it stays as it is."""
         raise NotImplementedError(f"{self.name} has no state to save between its steps")
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -204,7 +204,7 @@ class Heuristic(Method):
 
 
 def rows_state(rows: Rows) -> dict[str, Any]:
-    """Rows as tensors and words, by name."""
+    """Rows as tensors and text, by name."""
     return {**rows._asdict(), "scores": rows.scores._asdict()}
 
 

@@ -1,4 +1,4 @@
-"""One setup of a run, chosen in a word: the knee, the best in one score or for a preference, or simply a row."""
+"""One setup of a run, by name: the knee, the best in one score or for a preference, or simply a row."""
 
 from __future__ import annotations
 

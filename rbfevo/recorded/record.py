@@ -1,4 +1,4 @@
-"""What a run's files tell without torch: the arrays and the summary in its directory (DESIGN, section 5), checked.
+"""What a run's files hold, read without torch: the arrays and the summary in its directory, checked.
 
 Figures, picks and fits read a run through this and nothing else of it, so that they work on any run at any time.
 """
@@ -23,7 +23,7 @@ SCENARIO = ("vertices", "faces", "gradient", "weights", "lower", "upper")
 
 @dataclasses.dataclass(frozen=True)
 class Record:
-    """A run as its files tell it (NumPy, float64): p setups of m centers in d dimensions, a mesh of n vertices.
+    """A run as its files hold it (NumPy, float64): p setups of m centers in d dimensions, a mesh of n vertices.
 
     Attributes:
         centers: [p, m, d], model units.
@@ -32,8 +32,8 @@ class Record:
         vertices, faces, gradient, weights: [n, d], [f, 3], [n, k] of unit (weighted) norm, [n].
         lower, upper: [d] corners of the box.
         summary: summary.json.
-        stays: [n] bool, vertices that are to stay where they are; None if the run did not say.
-        variability: [p] rank(U)/n; None if the run did not say.
+        stays: [n] bool, vertices that are to stay where they are; None if the run did not save it.
+        variability: [p] rank(U)/n; None if the run did not save it.
         genotype: [p, D] setups of another representation than RBFs, whose `centers` are where control points sit.
     """
 
@@ -77,7 +77,7 @@ class Record:
     def gradient_norm(self) -> float | None:
         """The norm that the gradient had before it was scaled to 1, in model units.
 
-        None if the run did not say, or knows no more than a direction (a sensitivity).
+        None if the run did not save it, or knows no more than a direction (a sensitivity).
         """
         norm = None if self.summary.get("gradient_is") == "direction" else self.summary.get("gradient_norm")
         return float(norm) if isinstance(norm, int | float) and np.isfinite(norm) and norm > 0 else None
@@ -129,7 +129,7 @@ FIT = ("centers", "parameters", "deformed", "local_error", "moved_centers")
 
 @dataclasses.dataclass(frozen=True)
 class FitRecord:
-    """A fit as its files tell it (NumPy, float64), and the run that its setup comes from.
+    """A fit as its files hold it (NumPy, float64), and the run that its setup comes from.
 
     Attributes:
         deformed: [n, 3] vertices of the deformed design; on a plane the height is the third coordinate.

@@ -1,4 +1,4 @@
-"""The state of a run in one file, from which it goes on bit for bit: arrays, numbers and words, nothing that is code.
+"""The state of a run in one file, from which it goes on bit for bit: arrays, numbers and text, nothing that is code.
 
 The file is an .npz archive: every array under its path in the state, and `state`, JSON with all else. It is written
 whole or not at all, and its checksums tell a damaged one.
@@ -25,7 +25,7 @@ _ARRAY = "\0array"  # the key of a JSON object that stands for an array
 
 
 def save(directory: Path, state: dict[str, Any]) -> None:
-    """Write `state`, nested dicts and lists of arrays, tensors, numbers, words and None, as the directory's checkpoint.
+    """Write `state`, nested dicts and lists of arrays, tensors, numbers, text and None, as the directory's checkpoint.
 
     Raises:
         UserError: if it cannot be written; an older checkpoint then stays as it is.
@@ -38,7 +38,7 @@ def save(directory: Path, state: dict[str, Any]) -> None:
 
 
 def head(directory: Path) -> dict[str, Any]:
-    """What the checkpoint says beside its progress; no array of it is read.
+    """What the checkpoint holds beside its progress; no array of it is read.
 
     Raises:
         UserError: as `load`.

@@ -1,6 +1,6 @@
 """From a composed configuration to checked settings: types from the signatures of what the yaml files point at.
 
-What is wrong with the keys that belong to no group is told without importing torch.
+Keys that belong to no group are checked without importing torch.
 """
 
 from __future__ import annotations
@@ -242,7 +242,7 @@ def _literal(value: Any) -> Any:
 
 def in_words(kind: Any) -> str:
     """A type as a user would say it."""
-    words = {int: "a whole number", float: "a number", str: "a word", bool: "true or false"}
+    words = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
     plain = {name if isinstance(name, str) else name.__name__: text for name, text in words.items()}
     arguments = [a for a in typing.get_args(kind) if a is not type(None)]
     if typing.get_origin(kind) is list:

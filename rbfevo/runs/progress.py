@@ -1,4 +1,4 @@
-"""What a run says while it works and when it is done."""
+"""What a run prints while it works and when it is done."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Reporter:
 
     Args:
         planned: evaluations that the whole run will take, with those of before it was resumed.
-        quiet: say nothing at all.
+        quiet: print nothing at all.
         clock: seconds.
     """
 

@@ -177,7 +177,7 @@ class Run:
             self.warnings.append(f"{stage.name} was left out: {error}")
 
     def keep(self, journal: Journal, reporter: Reporter, finished: bool = False) -> None:
-        """Write a checkpoint; if that fails it is told once, and tried again the next time."""
+        """Write a checkpoint; if that fails one warning is printed, and it is tried again the next time."""
         failed_before = journal.complaint is not None
         journal.complaint = None
         if not journal.keep(self.progress(), finished) and not failed_before:
@@ -363,7 +363,7 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
                 run.search(reporter, interruption, journal)
         except BaseException:
             run.stop_reason = "error"
-            with contextlib.suppress(UserError):  # the first mishap is the one to tell
+            with contextlib.suppress(UserError):  # the first mishap is the one to report
                 run.save(directory, reporter, journal)
             if not run.rows:
                 journal.discard()
@@ -380,7 +380,7 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
 
 
 def unused_preferences(settings: Settings) -> list[str]:
-    """What there is to say where preferences are asked for and none of the methods has any use for them."""
+    """A warning where preferences are asked for and none of the methods has any use for them."""
     stages = stages_of(build(settings.method))
     if settings.preferences is None or any(stage.prefers for stage in stages):
         return []

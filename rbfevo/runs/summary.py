@@ -1,4 +1,4 @@
-"""What summary.json says of a run."""
+"""What summary.json holds of a run."""
 
 from __future__ import annotations
 

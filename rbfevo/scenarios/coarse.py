@@ -1,4 +1,4 @@
-"""A design by fewer, weighted vertices that stand for all of them: what a search may look at before the last word."""
+"""A design by fewer, weighted vertices that stand for all of them: what a search may look at before the end."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ SHAPE = "a box is six numbers, [xmin,ymin,zmin,xmax,ymax,zmax], with null for an
 
 
 class Fixing(NamedTuple):
-    """Which vertices [n] are fixed, the region that this makes, and how many there are, in words."""
+    """Which vertices [n] are fixed, the region that this makes, and a note on how many there are."""
 
     fixed: Mask
     region: Region
@@ -28,7 +28,7 @@ class Fixing(NamedTuple):
 
 
 def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor, mirror: Mirror | None = None) -> Fixing:
-    """What `scenario.fixed` says of a template.
+    """What `scenario.fixed` means for a template.
 
     Args:
         value: six numbers of a box (null: open), or the name of a point array or a file of one, where any value but 0

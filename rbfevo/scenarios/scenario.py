@@ -1,4 +1,4 @@
-"""What every scenario hands to the rest: a mesh, the wanted displacement, the box, and a way to draw centers."""
+"""What every scenario hands on: a mesh, the wanted displacement, the box, and a way to draw centers."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 def check(kind: str, objective: str) -> None:
-    """Refuse unknown words.
+    """Refuse unknown choices.
 
     Raises:
         UserError: naming the key and what there is.

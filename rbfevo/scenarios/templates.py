@@ -30,7 +30,7 @@ class Template:
         arrays: numeric point arrays by name, float64, [n] or [n, c].
         rows: [n] int64, ascending: which of the file's points each vertex is (STL: after merging).
         count: points in the file (STL: after merging).
-        notes: one line each for what was accepted but is worth a word.
+        notes: one line each for what was accepted but is worth knowing.
         cell_arrays: numeric arrays of the file's cells by name, [c] or [c, k].
         cell: [f] int64, the cell that each triangle is a part of; -1 on the boundary of a volume.
         numbers: [count] the file's own numbers of its points, where the format has them.

@@ -1,4 +1,4 @@
-"""Whoever waits for a compiler can be told so: numba translates the evaluator once for each kind of processor."""
+"""A line for whoever waits for a compiler: numba translates the evaluator once for each kind of processor."""
 
 from __future__ import annotations
 

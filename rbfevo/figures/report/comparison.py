@@ -1,4 +1,4 @@
-"""What the page of a sweep is told beside its runs: which settings differ, medians and quartiles, plain sentences."""
+"""What the page of a sweep shows beside its runs: which settings differ, medians and quartiles, plain sentences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page is told about runs: numbers as base64 of their bytes (little-endian), the rest as JSON."""
+"""What a page holds of runs: numbers as base64 of their bytes (little-endian), the rest as JSON."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _vertices(count: int) -> tuple[int, ...]:
 def _left(record: Record, rows: Array, vertices: Array, room: int) -> tuple[list[int], str]:
     """What setups leave of the gradient at the vertices shown: for which of `rows`, and float32 [rows, n, k], packed.
 
-    The nondominated ones come first; no more than `room` numbers are told.
+    The nondominated ones come first; no more than `room` numbers are given.
     """
     telling = np.argsort(~record.nondominated[rows], kind="stable")
     number = len(vertices) * record.gradient.shape[1]

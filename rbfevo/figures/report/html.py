@@ -69,7 +69,7 @@ def page_of_sweep(members: Sequence[Member], directory: Path, out: Path) -> str:
 
 
 def assembled(told: dict[str, Any]) -> str:
-    """The parts of the page and what it is told, as one file that fetches nothing."""
+    """The parts of the page and its content, as one file that fetches nothing."""
     from plotly.offline import get_plotlyjs
 
     scripts = [path.read_text(encoding="utf-8") for path in sorted((PARTS / "js").glob("*.js"))]

@@ -1,6 +1,6 @@
 """A sweep in tidy tables: what each run found, medians and quartiles over seeds; settings that differ.
 
-Runs that differ in their seed alone are one group; what is told of a group are medians and quartiles (interpolated
+Runs that differ in their seed alone are one group; a group is summed up by medians and quartiles (interpolated
 linearly, NumPy's default).
 """
 

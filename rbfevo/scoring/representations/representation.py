@@ -91,7 +91,7 @@ class Representation(abc.ABC):
 
     @abc.abstractmethod
     def spec(self) -> dict[str, Any]:
-        """Plain numbers and words: `target` is the class, the others are what its `of_spec` takes; not `name`."""
+        """Plain numbers and text: `target` is the class, the others are what its `of_spec` takes; not `name`."""
 
     @classmethod
     def of_spec(cls, **numbers: Any) -> Representation:
