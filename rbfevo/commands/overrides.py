@@ -106,7 +106,7 @@ def composed(words: Sequence[str], conf: Path) -> DictConfig:
 
 @contextlib.contextmanager
 def initialized(conf: Path) -> Iterator[Any]:
-    """Let Hydra find the configuration, whatever it was at before in this process; yields what carries out overrides."""
+    """Let Hydra find the configuration, whatever it was at before in this process; yields what composes overrides."""
     GlobalHydra.instance().clear()
     with hydra.initialize_config_dir(str(conf), job_name="rbfevo", version_base="1.3"):
         yield GlobalHydra.instance().hydra
