@@ -548,6 +548,20 @@ def test_a_setup_of_regularity_0_is_drawn_and_explained(odd):
     assert odd.evaluate("() => document.getElementById('front').layout.xaxis.type") == "linear"
 
 
+def test_the_slider_goes_with_the_setups_that_are_swapped(page):
+    for key in ("p", "c", "r"):
+        page.keyboard.press(key)
+        settled(page)
+    best = page.text_content("#preference-value"), page.text_content("#preference-hint")
+    page.keyboard.press("x")
+    settled(page)
+    other = page.text_content("#preference-value"), page.text_content("#preference-hint")
+    assert other != best
+    page.keyboard.press("x")
+    settled(page)
+    assert (page.text_content("#preference-value"), page.text_content("#preference-hint")) == best
+
+
 def test_an_unknown_kernel_still_shows_its_centers(odd):
     odd.keyboard.press("e")
     settled(odd)

@@ -130,6 +130,7 @@ function start() {
   function swap() {
     if (!state.kept) return;
     [state.chosen, state.kept] = [state.kept, state.chosen];
+    placeSlider();
     changedPair("swapped");
   }
 
