@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import yaml
 from rbfevo.recorded.record import read
 from rbfevo.runs import run
 from rbfevo.runs.config import CONF, Settings, build, target_of
+from rbfevo.runs.identity import identity
 from rbfevo.scenarios import plane
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.kernels import Kernel, kernel_of
@@ -75,6 +77,17 @@ def settings(method: str, seed: int = 3, **changes: Any) -> Settings:
     return Settings(**{**made, **changes})
 
 
+def test_configurations_and_checkpoints_of_older_runs_are_still_those_of_the_same_run() -> None:
+    new = settings("nsga2")
+    old = dataclasses.replace(new, kernel={**new.kernel, "_target_": "rbfevo.kernels.wendland"})
+    assert target_of("rbfevo.kernels.wendland") is target_of(new.kernel["_target_"])
+    assert identity(old) == identity(new)
+    assert identity(dataclasses.replace(new, device="cuda", figures=True, checkpoint_every=7.0)) == identity(new)
+    other = {"_target_": "somewhere.else"}
+    for change in ({"seed": 4}, {"evaluator": "fused"}, {"representation": other}, {"kernel": other}):
+        assert identity(dataclasses.replace(new, **change)) != identity(new)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_stays_in_the_box_and_follows_its_seed(method: str, tmp_path: Path) -> None:
     found = []
@@ -118,8 +131,6 @@ def test_every_search_survives_scores_that_are_nan_and_goes_on_from_its_state(me
         return Evaluator.__call__(evaluate, setups)
 
     if method != "gradient":  # which asks for gradients instead
-        import dataclasses
-
         stage = made.stages[0]
         stage.start(dataclasses.replace(made.problem(), evaluate=failing))
         for _ in range(stage.steps):
