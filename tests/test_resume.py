@@ -268,7 +268,7 @@ def test_a_gradient_search_cannot_be_lengthened(tmp_path):
 def test_a_history_that_is_too_short_is_refused(half):
     with (half / ".history.csv").open("r+b") as file:
         file.truncate(10)
-    refused(half, "shorter than the checkpoint says")
+    refused(half, "shorter than its checkpoint expects")
 
 
 @pytest.mark.parametrize("seed", range(40))
