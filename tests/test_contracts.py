@@ -12,6 +12,8 @@ import pytest
 import torch
 import yaml
 
+from rbfevo.methods.cmaes.algorithm import CMAES
+from rbfevo.methods.nsga2 import NSGA2
 from rbfevo.recorded.record import read
 from rbfevo.runs import run
 from rbfevo.runs.config import CONF, Settings, build, target_of
@@ -138,6 +140,20 @@ def test_every_search_survives_scores_that_are_nan_and_goes_on_from_its_state(me
         for rows in stage.rows():
             assert bool(torch.isfinite(rows.centers).all())
         assert evaluate.failed_evaluations > 0
+
+
+def test_asking_again_before_tell_returns_the_same_of_every_search() -> None:
+    lower, upper = torch.zeros(6, dtype=torch.float64), torch.ones(6, dtype=torch.float64)
+    stream = torch.Generator().manual_seed(0)
+    start = torch.rand(8, 6, generator=stream, dtype=torch.float64)
+    nsga2 = NSGA2(start, lower, upper, generator=stream)
+    cmaes = CMAES(start[:1], 0.1, lower, upper, generators=[stream], parents=4, offspring=8)
+    nsga2.tell(torch.rand(len(nsga2.ask()), 2, generator=stream, dtype=torch.float64))
+    for search, scores in ((nsga2, (8, 2)), (cmaes, (1, 8))):
+        first = search.ask().clone()
+        torch.testing.assert_close(search.ask(), first, rtol=0.0, atol=0.0)
+        search.tell(torch.rand(*scores, generator=stream, dtype=torch.float64))
+        assert not torch.equal(search.ask(), first)
 
 
 @pytest.fixture(params=["wendland", "triharmonic"])

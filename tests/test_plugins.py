@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.distance import cdist
 
 from rbfevo.recorded.record import read
 from rbfevo.recorded.setup import setup
+from rbfevo.scenarios import plane
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.gradients import differentiable_scores
+from rbfevo.scoring.representations import Reduced
 
 PLUGGED = Path(__file__).parent / "plugged"
 ROOT = Path(__file__).parents[1]
@@ -172,3 +179,52 @@ def test_a_kernel_that_is_not_there_any_more_is_told_in_a_line(gaussian: Path) -
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "the kernel plugged.Gaussian of the run is not there" in done.stderr
+
+
+def test_a_representation_without_closed_form_has_the_gradients_of_its_scores(modes: Path) -> None:
+    plugged: Any = importlib.import_module("plugged")
+
+    scenario = plane((15, 30))
+    evaluate = Evaluator(scenario.vertices, scenario.gradient, plugged.Modes(str(modes.parent / "waves.npy")))
+    setups = torch.rand(3, 5, generator=torch.Generator().manual_seed(5), dtype=torch.float64).requires_grad_()
+    regularity, potential = differentiable_scores(evaluate, setups)
+    (found,) = torch.autograd.grad((2.0 * regularity + 3.0 * potential).sum(), setups)
+    h = 1e-6
+    for i in range(5):
+        step = torch.zeros(5, dtype=torch.float64)
+        step[i] = h
+        above, below = (evaluate(setups.detach() + sign * step).objectives for sign in (1.0, -1.0))
+        slope = ((above - below) @ torch.tensor([2.0, 3.0], dtype=torch.float64)) / (2 * h)
+        torch.testing.assert_close(found[:, i], slope, rtol=1e-5, atol=1e-7)
+
+
+def test_parameters_that_are_fewer_than_columns_reach_what_their_combinations_do(modes: Path) -> None:
+    plugged: Any = importlib.import_module("plugged")
+
+    W = torch.randn(5, 3, generator=torch.Generator().manual_seed(6), dtype=torch.float64)
+
+    class Coupled(plugged.Modes):
+        manipulations = ("indirect", "direct")
+
+        def reduce(self, setups: torch.Tensor, factor: torch.Tensor, manipulation: str) -> Reduced:
+            none = torch.zeros(len(setups), dtype=torch.bool)
+            return Reduced(W.T @ factor, W.expand(len(setups), 5, 3), none)
+
+        def matrix(self, phi: torch.Tensor, setup: torch.Tensor, manipulation: str) -> torch.Tensor:
+            return phi @ W
+
+    scenario, representation = plane((15, 30)), Coupled(str(modes.parent / "waves.npy"))
+    waves = representation.waves
+    waves[1] = waves[0]
+    evaluate = Evaluator(scenario.vertices, scenario.gradient, representation, manipulation="direct")
+    setups = torch.rand(4, 5, generator=torch.Generator().manual_seed(7), dtype=torch.float64)
+    setups[3, 1] = setups[3, 0]  # two columns of Phi alike; their combinations need not be
+    fast, exact = evaluate(setups), evaluate.definition(setups)
+    for row, phases in enumerate(setups.numpy()):
+        U = np.cos(scenario.vertices.numpy() @ waves.T + phases) @ W.numpy()
+        sigma = np.linalg.svd(U, compute_uv=False)
+        for scores in (fast, exact):
+            assert float(scores.regularity[row]) == pytest.approx(sigma[-1] / sigma[0], rel=1e-6)
+            expected = potential(U, scenario.gradient.numpy())
+            assert float(scores.improvement_potential[row]) == pytest.approx(expected, abs=1e-8)
+            assert float(scores.variability[row]) == pytest.approx(3 / len(scenario.vertices))

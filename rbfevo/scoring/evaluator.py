@@ -182,18 +182,26 @@ class Evaluator:
 
     def singular(self, setups: Tensor, finite: Tensor) -> Singular:
         """Extreme singular values of U, P and rank of finite setups [p, m, d]."""
-        L, y, potential, rank, usable, _ = self.factors(setups, finite)
+        L, y, potential, rank, usable, deficient = self.factors(setups, finite)
         lost = rank < L.shape[1]
         if self.deformation.manipulation != "indirect":
             L, _, undetermined = self.representation.reduce(setups, L, self.deformation.manipulation)
             lost |= undetermined
             if L.shape[1] != L.shape[2]:  # fewer parameters than columns: they reach less
-                left, sigma = left_singular(L.mT)
-                kept = sigma > cutoff(len(self.deformation.vertices), L.shape[1]) * sigma[:, :1]
-                potential = torch.where(kept[:, :, None], product(left.mT, y), 0.0).square().sum((1, 2))
-                return Singular(sigma[:, 0], sigma[:, -1], lost | ~kept.all(1), potential, kept.sum(1), usable)
+                return self._narrow(L, y, undetermined, usable & ~deficient)  # the definition scores those
         sigma = singular_values(L)
         return Singular(sigma[:, 0], sigma[:, -1], lost, potential, rank, usable)
+
+    def _narrow(self, factor: Tensor, y: Tensor, lost: Tensor, usable: Tensor) -> Singular:
+        """Singular values, P and rank of U = Q T^T W from `factor` [p, m, r], m < r, and y = Q^T g."""
+        parts = []
+        for one, coordinates in zip(factor, y, strict=True):  # one at a time: in a batch LAPACK may round otherwise
+            left, sigma, _ = torch.linalg.svd(one.mT, full_matrices=False)
+            kept = sigma > cutoff(len(self.deformation.vertices), len(one)) * sigma[:1]
+            reached = torch.where(kept[:, None], left.mT @ coordinates, 0.0).square().sum()
+            parts.append((sigma[0], sigma[-1], ~kept.all(), reached, kept.sum()))
+        largest, smallest, short, potential, rank = (torch.stack(column) for column in zip(*parts, strict=True))
+        return Singular(largest, smallest, lost | short, potential, rank, usable)
 
     def _refine(
         self, setups: Tensor, G: Tensor, L: Tensor, sound: Tensor, empty: Tensor

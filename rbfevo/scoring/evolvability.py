@@ -120,13 +120,13 @@ def _score_one(deformation: Deformation, setup: Tensor, gradient: Tensor, weight
     if not (torch.isfinite(setup).all() and torch.isfinite(Phi).all()):
         return failure
     regularity, potential, variability = evolvability(Phi, gradient, weights)
-    if deformation.manipulation != "indirect" and regularity > 0:
+    if deformation.manipulation != "indirect":
         U = deformation.representation.matrix(Phi, setup, deformation.manipulation)
-        if U is None:
-            regularity = zero
-        elif U.shape != Phi.shape:  # fewer parameters than columns: they reach less
+        if U is not None and U.shape != Phi.shape:  # fewer parameters than columns: they reach less
             regularity, potential, variability = evolvability(U, gradient, weights)
-        else:
+        elif U is None:
+            regularity = zero
+        elif regularity > 0:
             U = U if weights is None else weights.sqrt()[:, None] * U
             sigma = torch.linalg.svdvals(U)
             regularity = sigma[-1] / sigma[0]
