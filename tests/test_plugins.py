@@ -220,6 +220,8 @@ def test_parameters_that_are_fewer_than_columns_reach_what_their_combinations_do
     setups = torch.rand(4, 5, generator=torch.Generator().manual_seed(7), dtype=torch.float64)
     setups[3, 1] = setups[3, 0]  # two columns of Phi alike; their combinations need not be
     fast, exact = evaluate(setups), evaluate.definition(setups)
+    every = evaluate.deformation(setups)
+    torch.testing.assert_close(every, evaluate.deformation.phi(setups) @ W)
     for row, phases in enumerate(setups.numpy()):
         U = np.cos(scenario.vertices.numpy() @ waves.T + phases) @ W.numpy()
         sigma = np.linalg.svd(U, compute_uv=False)

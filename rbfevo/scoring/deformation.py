@@ -45,11 +45,12 @@ class Deformation(nn.Module):
 
     def forward(self, setups: Tensor) -> Tensor:
         """U [*pop, n, m]; setups for which W does not exist come out as NaN instead of raising."""
-        phi = self.phi(setups)
-        flat, one = phi.reshape(-1, *phi.shape[-2:]), setups.reshape(-1, *setups.shape[-self.representation.dims :])
-        every = [self.representation.matrix(p, s, self.manipulation) for p, s in zip(flat, one, strict=True)]
-        return torch.stack([torch.full_like(p, torch.nan) if u is None else u for p, u in zip(flat, every, strict=True)]
-                           ).reshape(*phi.shape[:-2], *phi.shape[-2:])  # fmt: skip
+        phi, dims = self.phi(setups), self.representation.dims
+        flat, each = phi.reshape(-1, *phi.shape[-2:]), setups.reshape(-1, *setups.shape[-dims:])
+        found = [self.representation.matrix(p, s, self.manipulation) for p, s in zip(flat, each, strict=True)]
+        like = next((U for U in found if U is not None), flat[0])
+        U = torch.stack([torch.full_like(like, torch.nan) if one is None else one for one in found])
+        return U.reshape(*phi.shape[:-2], *like.shape)
 
 
 class RBFDeformation(Deformation):

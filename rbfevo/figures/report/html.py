@@ -25,19 +25,19 @@ def page(record: Record, directory: Path) -> str:
         UserError: if no setup has finite centers and scores.
     """
     m, n = record.centers.shape[1], len(record.vertices)
-    words = [f"{len(record.regularity):,} setup{'s' * (len(record.regularity) != 1)}"]
-    words[0] += f" of {m} center{'s' * (m != 1)} on {n:,} vertices"
+    facts = [f"{len(record.regularity):,} setup{'s' * (len(record.regularity) != 1)}"]
+    facts[0] += f" of {m} center{'s' * (m != 1)} on {n:,} vertices"
     volume, symmetry = record.summary.get("hypervolume"), record.summary.get("symmetry")
     if isinstance(volume, int | float):
-        words.append(f"hypervolume {volume:.4g}")
+        facts.append(f"hypervolume {volume:.4g}")
     if record.summary.get("seed") is not None:
-        words.append(f"seed {record.summary['seed']}")
+        facts.append(f"seed {record.summary['seed']}")
     if isinstance(symmetry, dict):
-        words.append(f"symmetric about {symmetry.get('axis')} = {symmetry.get('at')}")
-    told = content([Shown("", ".", directory, record, {})], [""])
-    if told["left_out"]:
-        words.append(f"{told['left_out']:,} dominated ones left out here")
-    return assembled({**told, "title": record.title, "subtitle": " · ".join(words)})
+        facts.append(f"symmetric about {symmetry.get('axis')} = {symmetry.get('at')}")
+    shown_content = content([Shown("", ".", directory, record, {})], [""])
+    if shown_content["left_out"]:
+        facts.append(f"{shown_content['left_out']:,} dominated ones left out here")
+    return assembled({**shown_content, "title": record.title, "subtitle": " · ".join(facts)})
 
 
 def page_of_sweep(members: Sequence[Member], directory: Path, out: Path) -> str:
@@ -60,23 +60,23 @@ def page_of_sweep(members: Sequence[Member], directory: Path, out: Path) -> str:
         for member in members
     ]
     meshes = [member.settings["mesh"] for member in members]
-    told = content(shown, meshes) | {"sweep": comparison(members)}
+    shown_content = content(shown, meshes) | {"sweep": comparison(members)}
     setups = sum(len(member.record.usable) for member in members)
-    words = [f"{len(members):,} run{'s' * (len(members) != 1)}", f"{setups:,} setups"]
-    if told["left_out"]:
-        words.append(f"{told['left_out']:,} of them left out here, dominated within their run")
-    return assembled({**told, "title": f"Sweep {directory.resolve().name}", "subtitle": " · ".join(words)})
+    facts = [f"{len(members):,} run{'s' * (len(members) != 1)}", f"{setups:,} setups"]
+    if shown_content["left_out"]:
+        facts.append(f"{shown_content['left_out']:,} of them left out here, dominated within their run")
+    return assembled({**shown_content, "title": f"Sweep {directory.resolve().name}", "subtitle": " · ".join(facts)})
 
 
-def assembled(told: dict[str, Any]) -> str:
+def assembled(shown_content: dict[str, Any]) -> str:
     """The parts of the page and its content, as one file that fetches nothing."""
     from plotly.offline import get_plotlyjs
 
     scripts = [path.read_text(encoding="utf-8") for path in sorted((PARTS / "js").glob("*.js"))]
     parts = {
-        "title": _escaped(f"{told['title']} · rbfevo"),
+        "title": _escaped(f"{shown_content['title']} · rbfevo"),
         "style": (PARTS / "page.css").read_text(encoding="utf-8"),
-        "content": json.dumps({**told, "version": _version()}, allow_nan=False).replace("<", "\\u003c"),
+        "content": json.dumps({**shown_content, "version": _version()}, allow_nan=False).replace("<", "\\u003c"),
         "plotly": get_plotlyjs().replace("</script", "<\\/script"),
         "script": _wrapped(scripts),
     }

@@ -264,11 +264,11 @@ class CMAES:
         change = s.c_sigma / s.d_sigma * (length / s.chi - 1)
         sigma = (self.sigma * change.clamp(max=1).exp()).clamp(*STEP_RANGE)  # eq. 44, by no more than e at once
 
-        told = (f.amax(1) > f.amin(1))[:, None]  # else there is nothing to learn from
+        informed = (f.amax(1) > f.amin(1))[:, None]  # else there is nothing to learn from
         if self._covariance:
-            self._adapt(told, y, y_w, z[:, mu:], length)
-        self._m, self._p_sigma = torch.where(told, m, self._m), torch.where(told, p_sigma, self._p_sigma)
-        self.sigma = torch.where(told[:, 0], sigma, self.sigma)
+            self._adapt(informed, y, y_w, z[:, mu:], length)
+        self._m, self._p_sigma = torch.where(informed, m, self._m), torch.where(informed, p_sigma, self._p_sigma)
+        self.sigma = torch.where(informed[:, 0], sigma, self.sigma)
         self._z = self._x = None
         self.generation += 1
         if not self._covariance:
@@ -276,8 +276,8 @@ class CMAES:
         elif self.generation % self._wait == 0:
             self._decompose()
 
-    def _adapt(self, told: Tensor, y: Tensor, y_w: Tensor, worst: Tensor, length: Tensor) -> None:
-        """Move C and its path of the elements `told` [B, 1] something, by the weighed steps y [B, weighed, D].
+    def _adapt(self, informed: Tensor, y: Tensor, y_w: Tensor, worst: Tensor, length: Tensor) -> None:
+        """Move C and its path of the elements that are `informed` [B, 1], by the weighed steps y [B, weighed, D].
 
         `worst` [B, negative, D] are the normals of those with negative weights, `length` [B] is |p_sigma|.
         """
@@ -292,8 +292,8 @@ class CMAES:
         keep = 1 + s.c_1 * delta - s.c_1 - s.c_mu * total
         rank_mu = product((w[..., None] * y).mT, y)
         C = keep[..., None] * self._C + s.c_1 * p_c[..., None] * p_c[:, None] + s.c_mu * rank_mu  # eq. 47
-        self._p_c = torch.where(told, p_c, self._p_c)
-        self._C = torch.where(told[..., None], C, self._C)
+        self._p_c = torch.where(informed, p_c, self._p_c)
+        self._C = torch.where(informed[..., None], C, self._C)
 
     def _keep_best(self, f: Tensor, x: Tensor, first: Tensor) -> None:
         top = f.take_along_dim(first, 1)[:, 0]
