@@ -16,7 +16,9 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.methods.cmaes import algorithm as cmaes
-from rbfevo.methods.cmaes.algorithm import CMAES, CONDITION_LIMIT, Box, Strategy
+from rbfevo.methods.cmaes.algorithm import CMAES, CONDITION_LIMIT
+from rbfevo.methods.cmaes.box import Box
+from rbfevo.methods.cmaes.strategy import Strategy
 
 Objective = Callable[[Tensor], Tensor]
 

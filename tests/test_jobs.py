@@ -53,7 +53,7 @@ def test_a_sweep_that_is_started_again_does_nothing_twice(tmp_path, capsys):
 @pytest.mark.parametrize(("figures", "made"), [("False", False), ("no", False), ("TRUE", True)])
 def test_figures_may_be_written_in_any_way_that_hydra_knows(figures, made, tmp_path, monkeypatch):
     collected = []
-    collect = "rbfevo.commands.launch.collected"
+    collect = "rbfevo.commands.sweep.collect"
     monkeypatch.setattr(collect, lambda directory, quiet: collected.append((directory, quiet)))
     monkeypatch.setattr("rbfevo.figures.draw", lambda run: [])
     words = [word for word in NSGA2 if not word.startswith(("figures", "quiet"))]

@@ -182,7 +182,7 @@ def test_large_results_are_scored_by_the_evaluator_and_not_counted(
 ) -> None:
     words = ["method=random", "method.population=6", f"kernel.support={SUPPORT}"]
     small, _, before = run(tmp_path / "small", template, *words)
-    monkeypatch.setattr("rbfevo.runs.run.DEFINED_UP_TO", 100)
+    monkeypatch.setattr("rbfevo.runs.assembly.DEFINED_UP_TO", 100)
     large, _, after = run(tmp_path / "large", template, *words)
     assert (before["scored_by"], after["scored_by"]) == ("definition", "evaluator")
     assert before["evaluations"] == after["evaluations"] == 6

@@ -1,4 +1,4 @@
-"""One run: scenario, kernel, evaluator and methods in; rows, history and summary out."""
+"""One run: its parts in; rows, history and summary out."""
 
 from __future__ import annotations
 
@@ -12,109 +12,59 @@ from typing import Any
 
 import torch
 
-from rbfevo import figures, methods
+from rbfevo import figures
 from rbfevo.errors import UserError
 from rbfevo.files import clear_unfinished
-from rbfevo.methods.method import Method, Problem, Rows, no_preference, random_stream, rows_of, rows_state
+from rbfevo.methods.method import Method, Problem, Rows, rows_of, rows_state
 from rbfevo.runs import storage
+from rbfevo.runs.assembly import Parts, unused_preferences
 from rbfevo.runs.checkpoint import digest, tensors
-from rbfevo.runs.config import Settings, build
+from rbfevo.runs.config import Settings
 from rbfevo.runs.directory import resuming
-from rbfevo.runs.identity import changes_since, checkpoint_for, identity, stages_of
+from rbfevo.runs.identity import changes_since, checkpoint_for, identity
 from rbfevo.runs.interruption import Interruption
 from rbfevo.runs.journal import Journal
 from rbfevo.runs.lock import locked
 from rbfevo.runs.progress import Reporter
 from rbfevo.runs.summary import differences, summary, versions
 from rbfevo.scenarios import reach
-from rbfevo.scenarios.coarse import coarsened, matched
-from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring import compilation
-from rbfevo.scoring.evaluator import Evaluator
-from rbfevo.scoring.evolvability import Scores
-from rbfevo.scoring.kernels import Kernel
 from rbfevo.scoring.pareto import hypervolume
-from rbfevo.scoring.representations import RBF, Representation
-from rbfevo.scoring.symmetric import evaluator_of
+from rbfevo.scoring.representations import RBF
 from rbfevo.scoring.threads import coarse
 
-# Up to this many numbers in U the rows of a result are scored by the definition, above by the blocked evaluator.
-DEFINED_UP_TO = 4_000_000
-MATCHED_ON = 20  # setups
 COUNTERS = ("evaluations", "failed_evaluations", "further_passes", "factorizations", "gradients")
-# Below this many evaluations times vertices, plain torch is done before numba has compiled for the first time (8 s).
-COMPILE_FROM = 10_000_000
 
 
-class Run:
-    """The parts of one run, put together from its settings, and what it has found so far.
+class Run(Parts):
+    """The parts of one run, and what it has found so far.
 
     Args:
         settings: checked settings.
-        progress: what `progress` said when this run was last saved, with tensors; the run goes on from there.
+        progress: `Run.progress()` of when this run was last saved, with tensors; the run goes on from there.
 
     Raises:
         UserError: for what only shows when the parts meet (no such device, more centers than vertices, ...).
     """
 
     def __init__(self, settings: Settings, progress: dict[str, Any] | None = None) -> None:
-        self.settings, self._saved = settings, progress
-        self.device = chosen_device(settings.device)
-        self.scenario: Scenario = build(settings.scenario)
-        n, d = self.scenario.vertices.shape
-        if settings.centers > n:
-            raise UserError(
-                f"centers={settings.centers}: scenario {self.scenario.name} has only {n} vertices; use fewer"
-            )
-        self.kernel: Kernel = build(settings.kernel, d, self.scenario.support, self.scenario.diagonal)
-        made = build(settings.representation, self.scenario, self.kernel, settings.centers)
-        self.representation: Representation = made
-        self.space = self.representation.space(self.scenario, settings.centers)
-        method = build(settings.method)
-        self._enough_vertices(method)
-        self.name: str = method.name
-        self.stages = stages_of(method)
-        for stage in self.stages:
-            stage.check(settings.preferences)
-        self.planned = sum(stage.planned_evaluations(settings.preferences) for stage in self.stages)
-        backend = settings.evaluator
-        self.searched = self.scenario
-        if backend == "auto" and self.planned * min(n, self.scenario.search_vertices or n) < COMPILE_FROM:
-            backend = "eager"
-        if progress is not None and settings.evaluator == "auto":
-            backend = progress["evaluator"]  # a longer run might choose another one, which rounds differently
-        self._backend = backend
-        self.full_evaluator = self.evaluator = self._evaluator(self.scenario)
-        self.coarse_evaluators: list[Evaluator] = []
+        # A longer run might choose another backend, which rounds differently.
+        same = None if progress is None or settings.evaluator != "auto" else progress["evaluator"]
+        super().__init__(settings, same)
+        self._saved = progress
         self.rows: list[Rows] = []
         self._drawn = 0  # of the rows: the initial population, scored on all vertices
-        self._done: dict[str, int] = dict.fromkeys(
-            COUNTERS, 0
-        )  # by the parts of this run that were carried out earlier
+        self._done: dict[str, int] = dict.fromkeys(COUNTERS, 0)  # by the parts of this run carried out earlier
         self._stage_index = self._step = self._before = 0  # of the rows, those before this stage
         self.warnings: list[str] = [*self.scenario.warnings, *reach.unfit(self.scenario, self.kernel.support)]
         self.warnings += unused_preferences(settings)
         self.differences: dict[str, float] | None = None
-        self.told = 0  # warnings that have been printed
+        self.printed = 0  # of the warnings
         self.seconds = 0.0
         self.stop_reason = "budget"
         self.threads = torch.get_num_threads()
         if progress is not None:
             self._refuse_others(progress)
-
-    def _enough_vertices(self, method: Any) -> None:
-        """Raise UserError if a search would look at fewer vertices than twice the centers."""
-        asked = {
-            "scenario.search_vertices": self.scenario.search_vertices,
-            "method.coarse": getattr(method, "coarse", None),
-        }
-        for key, count in asked.items():
-            if count is not None and count < len(self.scenario.vertices) and count < 2 * self.settings.centers:
-                raise UserError(f"{key}={count}: at least twice as many as centers={self.settings.centers} are needed")
-
-    def _evaluator(self, scenario: Scenario) -> Evaluator:
-        """Of this run's kernel and manipulation, on a scenario's vertices; all that a GPU does, it does in there."""
-        return evaluator_of(scenario.to(self.device), self.representation, self.settings.manipulation, self._backend)
 
     def total(self, counter: str) -> int:
         """One of the evaluator's counters, coarse designs included."""
@@ -126,7 +76,11 @@ class Run:
         before = 0.0 if self._saved is None else float(self._saved["seconds"])
         start = time.perf_counter() - before
         try:
-            problem = self.problem()
+            initial = self.initial()
+            if len(initial.centers):
+                self.rows.append(initial)
+                self._drawn = 1
+            problem = self.problem(initial)
             if self._saved is not None:
                 self._resume(self._saved)
             self._before = len(self.rows)
@@ -231,83 +185,12 @@ class Run:
         self._done.update(dict.fromkeys(COUNTERS, 0))
         self._done = {counter: int(saved["counters"][counter]) - self.total(counter) for counter in COUNTERS}
 
-    def _initial(self) -> Rows:
-        count = max(stage.initial for stage in self.stages)
-        centers = self.space.place(self.space.sample(count, self._stream("initial")))
-        rows = no_preference("random", centers, self.full_evaluator(centers))
-        if count:
-            self.rows.append(rows)
-            self._drawn = 1
-        return rows
-
-    @functools.cached_property
-    def _for_matching(self) -> Rows:
-        """A few random setups, scored on all vertices, where a method asks for no initial population."""
-        centers = self.space.place(self.space.sample(MATCHED_ON, self._stream("matching")))
-        return no_preference("random", centers, self.full_evaluator(centers))
-
-    def _stream(self, name: str) -> torch.Generator:
-        return random_stream(self.settings.seed, name)
-
-    def problem(self) -> Problem:
-        """What the methods are given; draws and scores the initial population, on all vertices."""
-        initial = self._initial()
-        problem = self._problem(self.scenario, self.full_evaluator, initial)
-        if self.scenario.search_vertices is not None and self.scenario.search_vertices < len(self.scenario.vertices):
-            problem = problem.coarsened(self.scenario.search_vertices)
-            self.evaluator = self.coarse_evaluators.pop()
-            self.searched = problem.scenario
-        return problem
-
-    def _problem(self, scenario: Scenario, evaluator: Evaluator, initial: Rows) -> Problem:
-        def fewer_vertices(count: int) -> Problem:
-            """The same problem on at most `count` weighted vertices; P is matched on the initial population."""
-            fewer = coarsened(scenario, count)
-            if fewer is scenario:
-                return problem
-            trial = self._evaluator(fewer)
-            known = initial if len(initial.centers) else self._for_matching
-            potential = trial(known.centers).improvement_potential
-            fewer = matched(fewer, potential, known.scores.improvement_potential)
-            coarse = self._evaluator(fewer)
-            coarse.evaluations = trial.evaluations
-            self.coarse_evaluators.append(coarse)
-            return self._problem(fewer, coarse, initial)
-
-        problem = Problem(
-            evaluate=evaluator,
-            space=self.space,
-            centers=self.settings.centers,
-            stream=self._stream,
-            preferences=self.settings.preferences,
-            initial=initial,
-            scenario=scenario,
-            representation=self.representation,
-            spectrum=evaluator.spectrum,
-            coarsened=fewer_vertices,
-        )
-        return problem
-
-    @property
-    def defined(self) -> bool:
-        """Whether the rows of the result are scored by the definition."""
-        return len(self.scenario.vertices) * self.settings.centers <= DEFINED_UP_TO
-
-    def _final(self, centers: torch.Tensor) -> Scores:
-        """Scores on all vertices, by the definition where U is not too large for that."""
-        evaluator = self.full_evaluator
-        if self.defined:
-            return evaluator.definition(centers)
-        return evaluator_of(
-            self.scenario.to(self.device), self.representation, self.settings.manipulation, evaluator.backend
-        )(centers)  # one of its own: these are no evaluations of the search
-
     def save(self, directory: Path, reporter: Reporter, journal: Journal) -> None:
         """Score the rows on all vertices, write the run directory and draw its figures."""
         if not self.rows:
             reporter.line("stopped before anything was found; nothing was written")
             return
-        rescored = [rows._replace(scores=self._final(rows.centers)) for rows in self.rows]
+        rescored = [rows._replace(scores=self.rescore(rows.centers)) for rows in self.rows]
         if self.searched is not self.scenario:
             self.differences = differences(self.rows[self._drawn :], rescored[self._drawn :])
         if isinstance(self.representation, RBF):
@@ -320,17 +203,17 @@ class Run:
         journal.publish()
         storage.write_summary(directory, summary(self, hypervolume(objectives)))
         drawn = figures.draw(directory) if self.settings.figures else []
-        for warning in [*self.warnings[self.told :], *drawn]:
+        for warning in [*self.warnings[self.printed :], *drawn]:
             reporter.line(f"warning: {warning}")
         reporter.closing_table(table, directory)
 
 
-def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), resume: bool = False) -> int:
+def carry_out(settings: Settings, directory: Path, arguments: Sequence[str] = (), resume: bool = False) -> int:
     """Carry out one run into its directory; return 0, or 130 and 143 after SIGINT and SIGTERM.
 
     Args:
-        settings: checked settings; directory: where everything goes, with a lock meanwhile.
-        words: the command line that the settings come from, for a checkpoint to tell.
+        settings: checked settings; directory: where everything goes; it is locked meanwhile.
+        arguments: the command line that the settings come from, for the checkpoint.
         resume: go on from the checkpoint in the directory.
 
     Raises:
@@ -341,7 +224,7 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
         saved = checkpoint_for(settings, directory) if resume else None
         if not resume:
             storage.refuse_results(directory)
-        facts = {"words": list(words), "settings": identity(settings), "whole": identity(settings, whole=True)}
+        facts = {"words": list(arguments), "settings": identity(settings), "whole": identity(settings, whole=True)}
         facts |= {"versions": versions(), "threads": threads, "cwd": str(Path.cwd())}
         journal = Journal(directory, settings.checkpoint_every, facts, saved)
         try:
@@ -357,7 +240,7 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
             reporter.line(note)
         for warning in run.warnings:
             reporter.line(f"warning: {warning}")
-        run.told = len(run.warnings)
+        run.printed = len(run.warnings)
         try:
             with compilation.heard(reporter.line):
                 run.search(reporter, interruption, journal)
@@ -377,29 +260,3 @@ def carry_out(settings: Settings, directory: Path, words: Sequence[str] = (), re
         else:
             reporter.line(f"to go on: python -m rbfevo {resuming(directory)}")
     return 0 if interruption.signal is None else 128 + interruption.signal
-
-
-def unused_preferences(settings: Settings) -> list[str]:
-    """A warning where preferences are asked for and none of the methods has any use for them."""
-    stages = stages_of(build(settings.method))
-    if settings.preferences is None or any(stage.prefers for stage in stages):
-        return []
-    every = [getattr(methods, name) for name in methods.__all__]
-    others = sorted(other.name for other in every if issubclass(other, Method) and other.prefers)
-    asked = [f"{preference:g}" for preference in settings.preferences]
-    value = asked[0] if len(asked) == 1 else f"[{','.join(asked)}]"
-    return [
-        f"preference={value}: method={stages[0].name} finds the same setups without it; leave it out, or choose method="
-        f"{' or '.join(others)}"
-    ]
-
-
-def chosen_device(name: str) -> torch.device:
-    """The device that `device=` asks for.
-
-    Raises:
-        UserError: if it asks for CUDA and there is none.
-    """
-    if name == "cuda" and not torch.cuda.is_available():
-        raise UserError("device=cuda: torch sees no CUDA device here; use device=cpu or device=auto")
-    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

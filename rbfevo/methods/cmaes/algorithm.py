@@ -15,7 +15,6 @@ strategy that feels how badly conditioned its parameters are.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -24,6 +23,8 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.methods.cmaes.box import Box
+from rbfevo.methods.cmaes.strategy import Strategy
 from rbfevo.scoring.matrices import eigh, product
 from rbfevo.scoring.threads import coarse
 
@@ -31,111 +32,6 @@ CONDITION_LIMIT = 1e14  # of C
 STEP_RANGE = (1e-100, 1e100)  # of sigma, so that neither underflow nor overflow makes a NaN
 SCALE_RANGE = (1e-20, 1e20)  # of the largest eigenvalue of C; beyond it the scale moves into sigma
 STALENESS = 0.02  # the share of C's memory, 1 / (c_1 + c_mu) generations, by which its root may lag behind
-
-
-@dataclasses.dataclass(frozen=True)
-class Strategy:
-    """Strategy parameters of one (parents, offspring) setting in one dimension (tutorial, eq. 49-58).
-
-    Attributes:
-        positive, negative: recombination weights of the best and of the worst offspring, best to worst.
-        mu_eff: variance effective selection mass. The rest carry the tutorial's names; chi = E|N(0, I)|.
-    """
-
-    positive: tuple[float, ...]
-    negative: tuple[float, ...]
-    mu_eff: float
-    c_sigma: float
-    d_sigma: float
-    c_c: float
-    c_1: float
-    c_mu: float
-    chi: float
-
-    @staticmethod
-    def default(n: int, parents: int, offspring: int, covariance: bool = True) -> Strategy:
-        """Defaults for dimension `n`; weights of the ranks between the best `parents` and the worst are 0.
-
-        Without `covariance`, c_1 = c_mu = 0 and no rank below the best `parents` weighs anything.
-        """
-        raw = [math.log(parents + 0.5) - math.log(i) for i in range(1, 2 * parents + 1)]  # eq. 49
-        best, worst = raw[:parents], raw[parents:][max(0, 2 * parents - offspring) :]
-        mu_eff = sum(best) ** 2 / sum(w * w for w in best)  # eq. 8
-        c_sigma = (mu_eff + 2) / (n + mu_eff + 5)  # eq. 55
-        d_sigma = 1 + 2 * max(0.0, math.sqrt((mu_eff - 1) / (n + 1)) - 1) + c_sigma  # eq. 55
-        c_c = (4 + mu_eff / n) / (n + 4 + 2 * mu_eff / n)  # eq. 56
-        c_1 = 2 / ((n + 1.3) ** 2 + mu_eff)  # eq. 57
-        c_mu = min(1 - c_1, 2 * (0.25 + mu_eff + 1 / mu_eff - 2) / ((n + 2) ** 2 + mu_eff))  # eq. 58
-        negative: tuple[float, ...] = ()
-        if not covariance:
-            c_1 = c_mu = 0.0
-        elif worst:
-            mu_eff_minus = sum(worst) ** 2 / sum(w * w for w in worst)
-            mass = min(
-                1 + c_1 / c_mu,  # eq. 50
-                1 + 2 * mu_eff_minus / (mu_eff + 2),  # eq. 51
-                (1 - c_1 - c_mu) / (n * c_mu),  # eq. 52
-            )
-            negative = tuple(-mass * w / sum(worst) for w in worst)  # eq. 53
-        return Strategy(
-            positive=tuple(w / sum(best) for w in best),  # eq. 53
-            negative=negative,
-            mu_eff=mu_eff,
-            c_sigma=c_sigma,
-            d_sigma=d_sigma,
-            c_c=c_c,
-            c_1=c_1,
-            c_mu=c_mu,
-            chi=math.sqrt(2) * math.exp(math.lgamma((n + 1) / 2) - math.lgamma(n / 2)),
-        )
-
-
-class Box:
-    """Search coordinates u [..., D], free on all of R^D, and the points x [..., D] of a box that they stand for.
-
-    A side with two finite bounds is scaled to [0, 1]. Then u is x itself up to a margin M of each bound, bends into the
-    bound as a parabola that touches it at M outside, and is mirrored there: continuously differentiable everywhere.
-    An objective that pushes linearly against a bound becomes a smooth bowl in u, which reflection (a kink) or clipping
-    (a plateau) would not give; inside, and without bounds, nothing changes at all. The idea is that of pycma's
-    BoundTransform; the margin here is 5% of the side (`sigma` where the other side is open), so that translating and
-    scaling the box changes nothing.
-    """
-
-    MARGIN = 0.05
-
-    def __init__(self, lower: Tensor, upper: Tensor, sigma: float) -> None:
-        below, above = lower.isfinite(), upper.isfinite()
-        zero, inf = torch.zeros_like(lower), torch.full_like(lower, math.inf)
-        self.lower, self.upper, self.closed = lower, upper, below & above
-        self.bounded = bool((below | above).any())
-        self.scale = torch.where(self.closed, upper - lower, 1.0)
-        self.offset = torch.where(below, lower, torch.where(above, upper, 0.0))
-        self.low = torch.where(below, zero, -inf)
-        self.high = torch.where(self.closed, 1.0, torch.where(above, zero, inf))
-        self.margin = torch.where(self.closed, self.MARGIN, torch.full_like(lower, sigma))
-        self.left, self.right = self.low - self.margin, self.high + self.margin  # where u is mirrored
-        self.period = torch.where(self.closed, 2 * (self.right - self.left), 1.0)
-
-    def to_box(self, u: Tensor) -> Tensor:
-        """Points of the box for search coordinates."""
-        if not self.bounded:
-            return u
-        turns = torch.where(self.closed, ((u - 0.5) / self.period).round(), 0.0)
-        u = u - turns * self.period
-        u = torch.where(u < self.left, 2 * self.left - u, u)
-        u = torch.where(u > self.right, 2 * self.right - u, u)
-        x = torch.where(u < self.low + self.margin, self.low + (u - self.left) ** 2 / (4 * self.margin), u)
-        x = torch.where(u > self.high - self.margin, self.high - (self.right - u) ** 2 / (4 * self.margin), x)
-        return (self.offset + self.scale * x).clamp(self.lower, self.upper)
-
-    def to_search(self, x: Tensor) -> Tensor:
-        """Search coordinates of points of the box, between the mirrors; the inverse of `to_box` there."""
-        if not self.bounded:
-            return x
-        x = (x - self.offset) / self.scale
-        from_low, from_high = (x - self.low).clamp(min=0), (self.high - x).clamp(min=0)
-        u = torch.where(from_low < self.margin, self.left + 2 * (self.margin * from_low).sqrt(), x)
-        return torch.where(from_high < self.margin, self.right - 2 * (self.margin * from_high).sqrt(), u)
 
 
 class CMAES:

@@ -1,0 +1,140 @@
+"""A sweep: its jobs, each in a directory of its own, and its exit code."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import subprocess
+import sys
+import tempfile
+import uuid
+from datetime import datetime
+from pathlib import Path
+
+import hydra.errors
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from rbfevo import names
+from rbfevo.commands import jobs, parsers
+from rbfevo.commands.composition import Composition, start, write_hydra
+from rbfevo.commands.single import announce, guarded, locked, tidy
+from rbfevo.errors import UserError
+from rbfevo.runs.config import RunConfig, check_top
+
+SKIPPED = -1
+
+
+def job(config: DictConfig) -> None:
+    """One job of a sweep: never raises, so that one failed job does not end the others; its outcome is saved."""
+    parsers.steady_streams()  # those of a launcher's process
+    current, composition = HydraConfig.get(), Composition.current()
+    sweep = Path(composition.cwd, current.sweep.dir)
+    outcome = jobs.Outcome(int(current.job.num), composition.overrides, composition.directory.name, str(sweep), None)
+    jobs.tell(outcome)
+
+    def work() -> int:
+        """Check the settings and carry them out; return the exit code, or SKIPPED."""
+        nonlocal outcome
+        top = check_top(config)
+        outcome = outcome._replace(figures=top.figures, quiet=top.quiet)
+        return _carry_out_job(config, top, composition, sweep)
+
+    code, message = guarded(work)
+    skipped = code == SKIPPED
+    jobs.tell(outcome._replace(code=0 if skipped else code, message=message, skipped=skipped))
+    if message:
+        parsers.complain("rbfevo", f"{outcome.directory}: {message}")
+    if code in jobs.STOPPED:
+        raise KeyboardInterrupt  # whoever interrupts a sweep means all of it
+
+
+def _carry_out_job(config: DictConfig, top: RunConfig, composition: Composition, sweep: Path) -> int:
+    """Carry out a job where it has worked before, or in a place of its own; an exit code, or SKIPPED."""
+    announce(top, composition)
+
+    import torch
+
+    from rbfevo.runs.config import check
+    from rbfevo.runs.identity import identity
+    from rbfevo.runs.run import carry_out
+
+    current = HydraConfig.get()
+    share = jobs.threads(current.launcher)
+    if share is not None:
+        torch.set_num_threads(share)
+    if torch.cuda.is_available() and torch.cuda.device_count() > 1:
+        torch.cuda.set_device(int(current.job.num) % torch.cuda.device_count())
+    settings, numbered = check(config), composition.directory
+    directory, how = jobs.place_of(sweep, numbered, identity(settings, whole=True))
+    try:
+        if how == "done":
+            print(f"{directory.name}: done already ({' '.join(composition.overrides)})", flush=True)
+            return SKIPPED
+        return locked(
+            directory,
+            lambda: carry_out(settings, directory, composition.overrides, how == "resume"),
+            lambda: write_hydra(config, directory) if how == "new" else None,
+        )
+    finally:
+        if numbered != directory:
+            with contextlib.suppress(OSError):
+                numbered.rmdir()  # Hydra made it; it is empty unless another job works there
+
+
+def carry_out_sweep(arguments: list[str]) -> int:
+    """Carry out a sweep; its exit code is the worst of its jobs'.
+
+    Raises:
+        UserError: for a user's mistake before any job began.
+    """
+    given = any(argument.partition("=")[0].lstrip("+") == "hydra.sweep.dir" for argument in arguments)
+    literal, now = names.given(arguments, "hydra.sweep.dir"), datetime.now()
+    sweep = Path(f"outputs/{now:%Y-%m-%d}/{now:%H-%M-%S-%f}-{uuid.uuid4().hex[:6]}")
+    if not given:
+        arguments = [*arguments, names.word("hydra.sweep.dir", sweep)]
+    elif literal:
+        sweep = Path(literal[-1])
+    else:  # what Hydra has to work out; the outcomes hold it
+        sweep = Path(tempfile.mkdtemp(prefix="rbfevo-"))
+    place = jobs.begin(sweep)
+    interrupted, broken = False, ""
+    try:
+        start(job, arguments)
+    except KeyboardInterrupt:
+        interrupted = True
+    except (UserError, hydra.errors.HydraException, OmegaConfBaseException, OSError):
+        if not jobs.outcomes(place):
+            shutil.rmtree(sweep / jobs.STATUS, ignore_errors=True)
+            tidy(sweep)
+            raise
+        broken = "the launcher broke down"
+    except Exception as error:  # a worker of the launcher's that died
+        broken = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    found = jobs.outcomes(place)
+    shutil.rmtree(sweep / jobs.STATUS, ignore_errors=True)
+    if given and not literal:
+        shutil.rmtree(sweep, ignore_errors=True)
+    for line in [*([f"rbfevo: {broken}"] if broken else []), *jobs.summary(found)]:
+        print(line, file=sys.stderr, flush=True)
+    codes = [1 if outcome.code is None else outcome.code for outcome in found]
+    stops = [code for code in codes if code in jobs.STOPPED]
+    if stops or interrupted:
+        return stops[0] if stops else 130
+    done = [outcome for outcome in found if outcome.code == 0]
+    if any(outcome.figures for outcome in done):
+        collect(Path(found[0].sweep), all(outcome.quiet for outcome in done))
+    return max([*codes, int(bool(broken))], default=0)
+
+
+def collect(directory: Path, quiet: bool) -> None:
+    """Make the tables and the page of a sweep, in a process of its own; what goes wrong there is one line."""
+    try:
+        command = [sys.executable, "-m", "rbfevo.collect", str(directory)]
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=600)
+    except (OSError, subprocess.SubprocessError) as error:
+        parsers.complain("rbfevo", f"the sweep was not collected: {error}")
+        return
+    print("" if quiet else done.stdout, end="", flush=True)
+    print(done.stderr if done.returncode in (0, 2) else done.stderr[-500:], end="", file=sys.stderr, flush=True)

@@ -1,0 +1,183 @@
+"""The parts of one run, put together from its settings: scenario, kernel, representation, evaluators, methods."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import torch
+
+from rbfevo import methods
+from rbfevo.errors import UserError
+from rbfevo.methods.method import Method, Problem, Rows, no_preference, random_stream
+from rbfevo.runs.config import Settings, build
+from rbfevo.runs.identity import stages_of
+from rbfevo.scenarios.coarse import coarsened, matched
+from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.evolvability import Scores
+from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.representations import Representation
+from rbfevo.scoring.symmetric import evaluator_of
+
+# Up to this many numbers in U the rows of a result are scored by the definition, above by the blocked evaluator.
+DEFINED_UP_TO = 4_000_000
+MATCHED_ON = 20  # setups
+# Below this many evaluations times vertices, plain torch is done before numba has compiled for the first time (8 s).
+COMPILE_FROM = 10_000_000
+
+
+class Parts:
+    """What one run works with, before it has done anything.
+
+    Args:
+        settings: checked settings.
+        backend: what the evaluators run on, as in `Evaluator`; None chooses by the size of the run.
+
+    Attributes:
+        searched: the scenario that the search looks at: with `scenario.search_vertices` a coarse one.
+        planned: evaluations that the methods plan.
+
+    Raises:
+        UserError: for what only shows when the parts meet (no such device, more centers than vertices, ...).
+    """
+
+    def __init__(self, settings: Settings, backend: str | None = None) -> None:
+        self.settings = settings
+        self.device = chosen_device(settings.device)
+        self.scenario: Scenario = build(settings.scenario)
+        n, d = self.scenario.vertices.shape
+        if settings.centers > n:
+            raise UserError(
+                f"centers={settings.centers}: scenario {self.scenario.name} has only {n} vertices; use fewer"
+            )
+        self.kernel: Kernel = build(settings.kernel, d, self.scenario.support, self.scenario.diagonal)
+        self.representation: Representation = build(
+            settings.representation, self.scenario, self.kernel, settings.centers
+        )
+        self.space = self.representation.space(self.scenario, settings.centers)
+        method = build(settings.method)
+        self._refuse_too_few_vertices(method)
+        self.name: str = method.name
+        self.stages = stages_of(method)
+        for stage in self.stages:
+            stage.check(settings.preferences)
+        self.planned = sum(stage.planned_evaluations(settings.preferences) for stage in self.stages)
+        self.searched = self.scenario
+        self._backend = self._chosen_backend() if backend is None else backend
+        self.full_evaluator = self.evaluator = self._evaluator(self.scenario)
+        self.coarse_evaluators: list[Evaluator] = []
+
+    def _chosen_backend(self) -> str:
+        n = len(self.scenario.vertices)
+        small = self.planned * min(n, self.scenario.search_vertices or n) < COMPILE_FROM
+        return "eager" if self.settings.evaluator == "auto" and small else self.settings.evaluator
+
+    def _refuse_too_few_vertices(self, method: Any) -> None:
+        """Raise UserError if a search would look at fewer vertices than twice the centers."""
+        asked = {
+            "scenario.search_vertices": self.scenario.search_vertices,
+            "method.coarse": getattr(method, "coarse", None),
+        }
+        for key, count in asked.items():
+            if count is not None and count < len(self.scenario.vertices) and count < 2 * self.settings.centers:
+                raise UserError(f"{key}={count}: at least twice as many as centers={self.settings.centers} are needed")
+
+    def _evaluator(self, scenario: Scenario) -> Evaluator:
+        """Of this run's kernel and manipulation, on a scenario's vertices; all that a GPU does, it does in there."""
+        return evaluator_of(scenario.to(self.device), self.representation, self.settings.manipulation, self._backend)
+
+    def initial(self) -> Rows:
+        """Draw the largest initial population that a method asks for, and score it on all vertices."""
+        centers = self.space.place(
+            self.space.sample(max(stage.initial for stage in self.stages), self._stream("initial"))
+        )
+        return no_preference("random", centers, self.full_evaluator(centers))
+
+    @functools.cached_property
+    def _for_matching(self) -> Rows:
+        """A few random setups, scored on all vertices, where a method asks for no initial population."""
+        centers = self.space.place(self.space.sample(MATCHED_ON, self._stream("matching")))
+        return no_preference("random", centers, self.full_evaluator(centers))
+
+    def _stream(self, name: str) -> torch.Generator:
+        return random_stream(self.settings.seed, name)
+
+    def problem(self, initial: Rows | None = None) -> Problem:
+        """What the methods are given; draws the initial population where there is none yet."""
+        initial = self.initial() if initial is None else initial
+        problem = self._problem(self.scenario, self.full_evaluator, initial)
+        if self.scenario.search_vertices is not None and self.scenario.search_vertices < len(self.scenario.vertices):
+            problem = problem.coarsened(self.scenario.search_vertices)
+            self.evaluator = self.coarse_evaluators.pop()
+            self.searched = problem.scenario
+        return problem
+
+    def _problem(self, scenario: Scenario, evaluator: Evaluator, initial: Rows) -> Problem:
+        def fewer_vertices(count: int) -> Problem:
+            """The same problem on at most `count` weighted vertices; P is matched on the initial population."""
+            fewer = coarsened(scenario, count)
+            if fewer is scenario:
+                return problem
+            trial = self._evaluator(fewer)
+            known = initial if len(initial.centers) else self._for_matching
+            potential = trial(known.centers).improvement_potential
+            fewer = matched(fewer, potential, known.scores.improvement_potential)
+            coarse = self._evaluator(fewer)
+            coarse.evaluations = trial.evaluations
+            self.coarse_evaluators.append(coarse)
+            return self._problem(fewer, coarse, initial)
+
+        problem = Problem(
+            evaluate=evaluator,
+            space=self.space,
+            centers=self.settings.centers,
+            stream=self._stream,
+            preferences=self.settings.preferences,
+            initial=initial,
+            scenario=scenario,
+            representation=self.representation,
+            spectrum=evaluator.spectrum,
+            coarsened=fewer_vertices,
+        )
+        return problem
+
+    @property
+    def defined(self) -> bool:
+        """Whether the rows of the result are scored by the definition."""
+        return len(self.scenario.vertices) * self.settings.centers <= DEFINED_UP_TO
+
+    def rescore(self, centers: torch.Tensor) -> Scores:
+        """Scores on all vertices, by the definition where U is not too large for that."""
+        evaluator = self.full_evaluator
+        if self.defined:
+            return evaluator.definition(centers)
+        return evaluator_of(
+            self.scenario.to(self.device), self.representation, self.settings.manipulation, evaluator.backend
+        )(centers)  # one of its own: these are no evaluations of the search
+
+
+def unused_preferences(settings: Settings) -> list[str]:
+    """A warning where preferences are asked for and none of the methods has any use for them."""
+    stages = stages_of(build(settings.method))
+    if settings.preferences is None or any(stage.prefers for stage in stages):
+        return []
+    every = [getattr(methods, name) for name in methods.__all__]
+    others = sorted(other.name for other in every if issubclass(other, Method) and other.prefers)
+    asked = [f"{preference:g}" for preference in settings.preferences]
+    value = asked[0] if len(asked) == 1 else f"[{','.join(asked)}]"
+    return [
+        f"preference={value}: method={stages[0].name} finds the same setups without it; leave it out, or choose method="
+        f"{' or '.join(others)}"
+    ]
+
+
+def chosen_device(name: str) -> torch.device:
+    """The device that `device=` asks for.
+
+    Raises:
+        UserError: if it asks for CUDA and there is none.
+    """
+    if name == "cuda" and not torch.cuda.is_available():
+        raise UserError("device=cuda: torch sees no CUDA device here; use device=cpu or device=auto")
+    return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")
