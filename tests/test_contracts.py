@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from rbfevo.recorded.record import read
 from rbfevo.runs import run
 from rbfevo.runs.config import CONF, Settings, build, target_of
 from rbfevo.runs.identity import identity
+from rbfevo.runs.journal import Journal
 from rbfevo.scenarios import plane
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.kernels import Kernel, kernel_of
@@ -59,8 +61,8 @@ def test_defaults_of_yaml_and_signature_are_equal(group: str, name: str) -> None
         assert set(free) - positional <= set(node), "a key of the signature is missing in the yaml"
 
 
-def settings(method: str, seed: int = 3, **changes: Any) -> Settings:
-    node = {**option("method", method), **METHODS[method]}
+def settings(name: str, seed: int = 3, **changes: Any) -> Settings:
+    node = {**option("method", name), **METHODS[name]}
     made: dict[str, Any] = {
         "scenario": {"_target_": "rbfevo.scenarios.plane", "resolution": [12, 24], "support": 0.5},
         "kernel": option("kernel", "wendland"),
@@ -140,6 +142,63 @@ def test_every_search_survives_scores_that_are_nan_and_goes_on_from_its_state(me
         for rows in stage.rows():
             assert bool(torch.isfinite(rows.centers).all())
         assert evaluate.failed_evaluations > 0
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_interrupted_keeps_what_it_found_and_goes_on_to_the_same_end(
+    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert run.carry_out(settings(method), tmp_path / "whole") == 0
+    whole = read(tmp_path / "whole")
+    record, interrupted = Journal.record, tmp_path / "interrupted"
+
+    def record_and_interrupt(journal: Journal, lines: Any) -> None:
+        record(journal, lines)
+        signal.raise_signal(signal.SIGTERM)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "record", record_and_interrupt)
+        assert run.carry_out(settings(method), interrupted) == 143
+    partial = read(interrupted)
+    assert partial.summary["stop_reason"] == "interrupted by SIGTERM"
+    assert np.isfinite(partial.centers).all()
+    assert (partial.method == method).any()
+    assert run.carry_out(settings(method), interrupted, resume=True) == 0
+    record = read(interrupted)
+    assert record.summary["stop_reason"] == "budget"
+    np.testing.assert_array_equal(record.centers, whole.centers)
+    np.testing.assert_array_equal(record.regularity, whole.regularity)
+    assert record.summary["evaluations"] == whole.summary["evaluations"]
+
+
+SMALLEST = {  # the least that each takes: one setup, start, candidate or preference where it can
+    "cmaes": {"parents": 1, "population": 2, "generations": 1},
+    "gradient": {"starts": 1, "population": 16, "generations": 5, "polish": 1, "front": 2, "coarse": 100},
+    "lloyd": {"starts": 1, "iterations": 1},
+    "nsga2": {"population": 4, "generations": 1},
+    "ols": {"per_axis": 2},
+    "random": {"population": 1},
+}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_takes_the_smallest_budget_and_a_single_center(method: str, tmp_path: Path) -> None:
+    preferences = (0.5,) if method in ("cmaes", "gradient") else None
+    node = {**option("method", method), **SMALLEST[method]}
+    small = settings(method, centers=1, method=node, preferences=preferences)
+    assert run.carry_out(small, tmp_path) == 0
+    record = read(tmp_path)
+    own = record.method == method
+    assert own.any()
+    assert record.centers.shape[1:] == (1, 2)
+    np.testing.assert_array_equal(record.regularity[own], 1.0)  # of one column
+    vertices, weights = record.vertices, record.weights[:, None]
+    for center, potential in zip(record.centers[own], record.improvement_potential[own], strict=True):
+        column = build(option("kernel", "wendland"), 2, 0.5, 2.0)(np.linalg.norm(vertices - center, axis=1))
+        column = np.sqrt(weights) * column[:, None]
+        wanted = np.sqrt(weights) * record.gradient
+        reached = column @ np.linalg.lstsq(column, wanted, rcond=None)[0]
+        assert potential == pytest.approx(1 - np.square(wanted - reached).sum(), abs=1e-9)
 
 
 def test_asking_again_before_tell_returns_the_same_of_every_search() -> None:
