@@ -150,10 +150,10 @@ def test_every_method_interrupted_keeps_what_it_found_and_goes_on_to_the_same_en
 ) -> None:
     assert run.carry_out(settings(method), tmp_path / "whole") == 0
     whole = read(tmp_path / "whole")
-    record, interrupted = Journal.record, tmp_path / "interrupted"
+    write_lines, interrupted = Journal.record, tmp_path / "interrupted"
 
     def record_and_interrupt(journal: Journal, lines: Any) -> None:
-        record(journal, lines)
+        write_lines(journal, lines)
         signal.raise_signal(signal.SIGTERM)
 
     with monkeypatch.context() as patch:

@@ -122,8 +122,8 @@ def test_what_a_representation_from_outside_does_not_offer_is_refused_in_a_line(
     assert "a fit knows setups of centers" in fitted.stderr
     waves = f"representation.file={modes.parent / 'waves.npy'}"
     for more, line in (
-        (["method=lloyd"], "method=lloyd places centers, which representation=modes does not consist of"),
-        (["method=ols"], "method=ols places centers one by one, which representation=modes does not consist of"),
+        (["method=lloyd"], "method=lloyd places centers, and representation=modes has none"),
+        (["method=ols"], "method=ols places centers one by one, and representation=modes has none"),
         (["method=random", "manipulation=direct"], "manipulation=direct: representation=modes offers indirect"),
     ):
         place = f"hydra.run.dir={tmp_path / 'refused'}"
@@ -178,7 +178,7 @@ def test_a_kernel_that_is_not_there_any_more_is_told_in_a_line(gaussian: Path) -
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "the kernel plugged.Gaussian of the run is not there" in done.stderr
+    assert "the kernel plugged.Gaussian of this run cannot be imported" in done.stderr
 
 
 def test_a_representation_without_closed_form_has_the_gradients_of_its_scores(modes: Path) -> None:

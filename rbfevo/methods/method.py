@@ -92,9 +92,7 @@ class Problem:
         """
         setups = self.representation.assemble(self.scenario.parameterization.settle(centers))
         if setups is None:
-            raise UserError(
-                f"method={method} places centers, which representation={self.representation.name} does not consist of"
-            )
+            raise UserError(f"method={method} places centers, and representation={self.representation.name} has none")
         return setups
 
 

@@ -33,7 +33,7 @@ class NSGA2:
     Attributes:
         population: [N, D], the survivors, best first by (rank, crowding), ties in random order.
         objectives: [N, M], theirs; [N, 0] before the first `tell`.
-        generation: number of populations told so far, the initial one included.
+        generation: number of populations evaluated so far, the initial one included.
 
     Raises:
         UserError: a population that is odd, too small or outside the box; a setting out of range.
@@ -91,11 +91,11 @@ class NSGA2:
             UserError: nothing was asked for, or the shape does not fit.
         """
         if self._asked is None:
-            raise UserError("NSGA-II: tell came before ask, ask for individuals and score those")
+            raise UserError("NSGA-II: tell came before ask; call ask() and score those individuals")
         N, M = len(self.population), self.objectives.shape[1]
         if objectives.ndim != 2 or len(objectives) != N or objectives.shape[1] != (M or max(objectives.shape[1], 1)):
             raise UserError(
-                f"NSGA-II: objectives of shape {list(objectives.shape)} do not fit, tell [{N}, {M or 'M'}]: a row each"
+                f"NSGA-II: objectives of shape {list(objectives.shape)} do not fit; give [{N}, {M or 'M'}], a row each"
             )
         individuals, objectives = self._asked, objectives.detach().to(self.population)
         if self.generation:
@@ -194,7 +194,7 @@ def _crossover(parents: Array, lower: Array, upper: Array, eta: float, choice: A
     """Bounded simulated binary crossover of parents [2, n] (Deb and Agrawal 1995; bounds as in Deb's own code).
 
     They become their children. A variable crosses where its uniform `choice` [n] is below 1/2. Its first two binary
-    digits are then spent (they said to cross, and which child gets which value); the others are a uniform number again,
+    digits are then spent (on the crossing, and on which child gets which value); the others are a uniform number again,
     u of the spread factor.
     """
     crossed = (choice < 0.5).nonzero()[0]
@@ -221,7 +221,7 @@ def _mutate(x: Array, lower: Array, upper: Array, eta: float, probability: float
     """Bounded polynomial mutation of x [n], in place (Deb and Goyal 1996; bounds as in Deb's own code).
 
     A variable mutates where its uniform `choice` [n] is below `probability`; choice / probability is then uniform again
-    and says how far.
+    and sets how far.
     """
     mutated = (choice < probability).nonzero()[0]
     tiny = float(np.finfo(x.dtype).tiny)

@@ -88,13 +88,13 @@ def ols(
     if count > len(candidates):
         raise UserError(f"OLS cannot pick {count} centers from {len(candidates)} candidates: refine the candidate grid")
     root = None if weights is None or bool((weights == 1).all()) else weights.sqrt()
-    rest = gradient if root is None else gradient * root[:, None]
-    length = torch.linalg.vector_norm(rest)
+    residual = gradient if root is None else gradient * root[:, None]
+    length = torch.linalg.vector_norm(residual)
     if not bool(length.isfinite() & (length > 0)):
         raise UserError("OLS needs an estimated fitness gradient that is finite and not zero everywhere")
 
-    screen = _Screen(columns, candidates, root, rest / length, memory, block)
-    basis = rest.new_empty(count, len(rest)).T
+    screen = _Screen(columns, candidates, root, residual / length, memory, block)
+    basis = residual.new_empty(count, len(residual)).T
     indices: list[int] = []
     gains: list[Tensor] = []
     for t in range(count):
@@ -127,9 +127,9 @@ def _largest(values: Tensor, among: Tensor, count: int) -> Tensor:
 class _Screen:
     """What is known of every candidate, its column phi scaled to unit length, given the picks so far.
 
-    `left` [c] bounds w^T w from below, `moment` [c, k] is w^T r to within `doubt` [c] in norm, `usable` [c] says who
-    may still be picked. A product of a unit column with a unit vector is taken to be wrong by at most `slack`: u for
-    rounding each factor and sqrt(n) u for summing n terms (Higham & Mary 2019), in the precision of the product.
+    `left` [c] bounds w^T w from below, `moment` [c, k] is w^T r up to `doubt` [c] in norm, `usable` [c] marks those
+    that may still be picked. A product of a unit column with a unit vector is taken to be wrong by at most `slack`: u
+    for rounding each factor and sqrt(n) u for summing n terms (Higham & Mary 2019), in the precision of the product.
     """
 
     def __init__(
@@ -137,20 +137,20 @@ class _Screen:
         columns: Callable[[Tensor], Tensor],
         candidates: Tensor,
         root: Tensor | None,
-        rest: Tensor,
+        residual: Tensor,
         memory: float,
         block: int,
     ):
-        self.columns, self.candidates, self.root, self.rest, self.block = columns, candidates, root, rest, block
-        c, (n, k) = len(candidates), rest.shape
+        self.columns, self.candidates, self.root, self.residual, self.block = columns, candidates, root, residual, block
+        c, (n, k) = len(candidates), residual.shape
         self.rounding, rough = (torch.finfo(t).eps * (1 + math.sqrt(n) / 2) for t in (torch.float64, torch.float32))
-        self.scale, self.unit, self.moment = rest.new_zeros(c), rest.new_zeros(c), rest.new_zeros(c, k)
-        self.kept = _empty(min(c, int(memory // (4 * n))), n, rest.device)
-        self._walk(self._survey, torch.arange(c, device=rest.device))
-        self.slack = rest.new_full((c,), self.rounding)
+        self.scale, self.unit, self.moment = residual.new_zeros(c), residual.new_zeros(c), residual.new_zeros(c, k)
+        self.kept = _empty(min(c, int(memory // (4 * n))), n, residual.device)
+        self._walk(self._survey, torch.arange(c, device=residual.device))
+        self.slack = residual.new_full((c,), self.rounding)
         self.slack[: len(self.kept)] = rough
         self.usable = self.scale > 0
-        self.left = self.usable.to(rest.dtype)
+        self.left = self.usable.to(residual.dtype)
         self.doubt = torch.full_like(self.left, self.rounding)
 
     def _walk(self, visit: Callable[[slice, Tensor, Tensor], None], indices: Tensor) -> None:
@@ -182,7 +182,7 @@ class _Screen:
         norm = torch.linalg.vector_norm(rows, dim=1)
         scale = torch.where(norm.isfinite() & (norm > 0), 1.0 / norm, 0.0)
         self.scale[where] = scale
-        self.moment[where] = (self.rest.T @ rows.T).T * scale[:, None]
+        self.moment[where] = (self.residual.T @ rows.T).T * scale[:, None]
         kept = self.kept[where]
         # Products with kept columns are scaled instead of these, unless single precision might not reach that far.
         far = bool(((norm > 1e18) | (norm > 0) & (norm < 1e-18)).any())
@@ -208,7 +208,7 @@ class _Screen:
 
     def best(self, Q: Tensor, tolerance: float, vanish: float) -> tuple[int, Tensor]:
         """Return index and exact gain of the next pick, or -1 and 0 if no candidate can be used."""
-        remaining = (self.rest * self.rest).sum()
+        remaining = (self.residual * self.residual).sum()
         exact = torch.full_like(self.left, -torch.inf)  # the gains computed in full
         index = torch.arange(len(exact), device=exact.device)
         sharp = self.slack <= self.rounding  # bounds from double precision
@@ -233,7 +233,7 @@ class _Screen:
                 continue
             ahead = _largest(upper, clear if bool(clear.any()) else doubtful, few)
             w = self._remainders(ahead, Q)
-            square, moment = (w * w).sum(1), w @ self.rest
+            square, moment = (w * w).sum(1), w @ self.residual
             alive = square >= vanish
             exact[ahead] = torch.where(alive, (moment * moment).sum(1) / square, -torch.inf)
             self.usable[ahead[~alive]] = False
@@ -245,7 +245,7 @@ class _Screen:
     def _sharpen(self, indices: Tensor, Q: Tensor) -> None:
         """Bring bounds to double precision: w^T w = 1 - |Q^T phi|^2 and w^T r = phi^T r, without computing w."""
         t = Q.shape[1]
-        along, moment = self._products(indices, torch.cat((Q, self.rest), dim=1)).tensor_split([t], dim=1)
+        along, moment = self._products(indices, torch.cat((Q, self.residual), dim=1)).tensor_split([t], dim=1)
         error = 2.0 * (1.0 + math.sqrt(t)) * self.rounding
         self.left[indices] = (1.0 - along.square().sum(1) - error).clamp(min=0)
         self.moment[indices] = moment
@@ -270,11 +270,11 @@ class _Screen:
         y[:kept] *= self.unit[:kept]
         if kept < c:
             y[kept:] = self._products(torch.arange(kept, c, device=q.device), q[:, None])[:, 0]
-        share = q @ self.rest
+        share = q @ self.residual
         self.left -= (y.abs() + self.slack).square()
         self.moment -= torch.outer(y, share)
         self.doubt += self.slack * torch.linalg.vector_norm(share)
-        self.rest = self.rest - torch.outer(q, share)
+        self.residual = self.residual - torch.outer(q, share)
 
 
 class OlsHeuristic(Heuristic):
@@ -302,8 +302,8 @@ class OlsHeuristic(Heuristic):
         atoms = problem.representation.atoms(design.vertices)
         if atoms is None:
             raise UserError(
-                f"method={self.name} places centers one by one, which representation={problem.representation.name} "
-                "does not consist of"
+                f"method={self.name} places centers one by one, and "
+                f"representation={problem.representation.name} has none"
             )
         centers = ols(
             atoms,

@@ -1,7 +1,7 @@
 """The state of a run in one file, from which it goes on bit for bit: arrays, numbers and text, nothing that is code.
 
 The file is an .npz archive: every array under its path in the state, and `state`, JSON with all else. It is written
-whole or not at all, and its checksums tell a damaged one.
+whole or not at all, and its checksums show a damaged one.
 """
 
 from __future__ import annotations
@@ -61,17 +61,17 @@ def _read(directory: Path, whole: bool) -> dict[str, Any]:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in (archive.files if whole else ["state"])}
-        told = json.loads(arrays.pop("state").tobytes())
-        if not isinstance(told, dict) or told.get("format") != FORMAT:
-            raise UserError(f"{path} is a checkpoint of another format ({told.get('format')}): start a new run")
-        return _nested(told, arrays) if whole else told
+        state = json.loads(arrays.pop("state").tobytes())
+        if not isinstance(state, dict) or state.get("format") != FORMAT:
+            raise UserError(f"{path} is a checkpoint of another format ({state.get('format')}): start a new run")
+        return _nested(state, arrays) if whole else state
     except UserError:
         raise
     except FileNotFoundError:
-        raise UserError(f"{directory} holds no checkpoint: there is nothing to resume; start the run anew") from None
+        raise UserError(f"{directory} holds no checkpoint to resume from; start a new run") from None
     except (OSError, ValueError, KeyError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
         raise UserError(f"{path} is damaged or no checkpoint ({_line(error)}): start a new run") from None
-    except (RuntimeError, MemoryError) as error:  # what zipfile says of a member that claims to be encrypted, or huge
+    except (RuntimeError, MemoryError) as error:  # from zipfile, for a member that claims to be encrypted, or huge
         raise UserError(f"{path} is damaged ({_line(error)}): start a new run") from None
 
 

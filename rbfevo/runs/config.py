@@ -125,7 +125,7 @@ def checkpoint_every(node: Any) -> float | None:
     keys = node if isinstance(node, dict) else {} if node is None else {"": node}
     unknown = [key for key in keys if key != "every"]
     if unknown:
-        raise UserError(f"checkpoint.{unknown[0]}: there is no such key; there is checkpoint.every")
+        raise UserError(f"checkpoint.{unknown[0]}: unknown key; the only one is checkpoint.every")
     every = keys.get("every")
     number = isinstance(every, int | float) and not isinstance(every, bool)
     if every is not None and not (number and 0 <= every < math.inf):
@@ -151,7 +151,7 @@ def preferences(value: Any) -> tuple[float, ...] | None:
     if not values:
         raise UserError("preference=[]: the list is empty; null takes the method's own preferences")
     if len(set(map(float, values))) < len(values):
-        raise UserError(f"preference={value}: a preference stands there twice")
+        raise UserError(f"preference={value}: the list holds a preference twice")
     return tuple(float(entry) for entry in values)
 
 
@@ -167,7 +167,7 @@ def target_of(path: str) -> Any:
 def checked_target(node: Any, path: str) -> dict[str, Any]:
     """The node with every value converted to the type that its `_target_` declares, nested nodes included."""
     if not isinstance(node, dict) or "_target_" not in node:
-        raise UserError(f"{path}={node}: this is not an option of the group {path}")
+        raise UserError(f"{path}={node}: this is not an option of {path}")
     target = target_of(node["_target_"])
     hints = hints_of(target.__init__ if inspect.isclass(target) else target)
     parameters = inspect.signature(target).parameters
@@ -175,7 +175,7 @@ def checked_target(node: Any, path: str) -> dict[str, Any]:
     fields = []
     for key in plain:
         if key != "_target_" and key not in parameters:
-            raise UserError(f"{path}.{key}: there is no such key; there are {', '.join(parameters)}")
+            raise UserError(f"{path}.{key}: unknown key; choose one of {', '.join(parameters)}")
         kind = str if key == "_target_" else omegaconf_type(hints.get(str(key), Any))
         fields.append((str(key), kind, dataclasses.field(default=dataclasses.MISSING)))
     values = vars(typed(plain, dataclasses.make_dataclass("Options", fields), f"{path}."))
@@ -217,12 +217,12 @@ def typed(values: dict[str, Any], schema: Any, path: str) -> Any:
     """
     for key, value in values.items():
         if value == names.MISSING:
-            raise UserError(f"{path}{key}={value}: this stands for a value that is missing; give one")
+            raise UserError(f"{path}{key}={value}: the value is missing; give one")
     try:
         return OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), OmegaConf.create(_literal(values))))
     except ConfigKeyError as error:
         there = ", ".join(field.name for field in dataclasses.fields(schema))
-        raise UserError(f"{path}{error.key}: there is no such key; there are {there}") from error
+        raise UserError(f"{path}{error.key}: unknown key; choose one of {there}") from error
     except OmegaConfBaseException as error:
         key = re.split(r"[.\[]", str(error.full_key or error.key))[0]
         if key not in values:
@@ -241,15 +241,15 @@ def _literal(value: Any) -> Any:
 
 
 def in_words(kind: Any) -> str:
-    """A type as a user would say it."""
-    words = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
-    plain = {name if isinstance(name, str) else name.__name__: text for name, text in words.items()}
+    """A type in the terms of a user."""
+    labels = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}
+    plain = {name if isinstance(name, str) else name.__name__: text for name, text in labels.items()}
     arguments = [a for a in typing.get_args(kind) if a is not type(None)]
     if typing.get_origin(kind) is list:
-        return f"a list, each entry {words.get(arguments[0], 'a value')},"
+        return f"a list, each entry {labels.get(arguments[0], 'a value')},"
     if arguments:
         return f"null or {in_words(arguments[0])}"
-    return words.get(kind, plain.get(str(kind), "another type"))
+    return labels.get(kind, plain.get(str(kind), "another type"))
 
 
 def build(node: dict[str, Any], *arguments: Any) -> Any:

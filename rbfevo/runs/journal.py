@@ -27,11 +27,11 @@ class Journal:
 
     Args:
         directory: the run directory; every: seconds between checkpoints, None for none but the first and the last.
-        facts: what every checkpoint says beside the progress (settings, versions), no arrays.
+        facts: what every checkpoint holds beside the progress (settings, versions), no arrays.
         saved: the checkpoint that the run continues from, or None.
 
     Attributes:
-        complaint: the last thing that went wrong, in one line, or None; whoever tells it sets it to None.
+        complaint: the last thing that went wrong, in one line, or None; whoever prints it sets it to None.
 
     Raises:
         UserError: if the directory cannot be written to, or the history does not belong to `saved`.
@@ -53,7 +53,7 @@ class Journal:
         self._last = time.monotonic()
 
     def _continue(self) -> None:
-        """See that the history goes as far as the checkpoint says; of a run that has results it is `HISTORY`."""
+        """See that the history goes as far as the checkpoint; of a run that has results it is `HISTORY`."""
         path = self._path if self._path.exists() else self.directory / HISTORY
         try:
             length = path.stat().st_size
@@ -66,7 +66,7 @@ class Journal:
         """Add lines to the history."""
         self._pending += csv_text(None, records)
         if len(self._pending) > BUFFER:
-            with contextlib.suppress(UserError):  # it waits until there is room; the next checkpoint tells of it
+            with contextlib.suppress(UserError):  # it waits until there is room; the next checkpoint warns
                 self._write()
 
     def due(self) -> bool:
@@ -120,7 +120,7 @@ class Journal:
         write_whole(self.directory / HISTORY, content)
 
     def discard(self) -> None:
-        """Remove the first checkpoint of a run that never began; one that was there, or tells of progress, stays."""
+        """Remove the first checkpoint of a run that never began; one that was there, or holds progress, stays."""
         if self._fresh:
             (self.directory / checkpoint.NAME).unlink(missing_ok=True)
 

@@ -18,7 +18,7 @@ from rbfevo.methods.method import HistoryLine
 from rbfevo.scoring.pareto import hypervolume, knee
 
 LINE_EVERY = 10.0  # seconds between lines where the output is not a terminal
-SOON = 2.0  # seconds to the first line, and to the next after one that could not yet tell the rate
+SOON = 2.0  # seconds to the first line, and to the next after one that could not yet show the rate
 WINDOW = 20.0  # seconds that a rate looks back
 SHORTEST = 1.0  # seconds that a rate worth telling looks back at least
 
@@ -27,7 +27,7 @@ class Rate:
     """Evaluations a second over the last steps of one method.
 
     It starts with the first step that is done: what was there before, such as the evaluations of a run that is resumed,
-    or the time that a compiler took, says nothing of the time that is left.
+    or the time that a compiler took, is no measure of the time that is left.
     """
 
     def __init__(self) -> None:

@@ -59,7 +59,7 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
 def differences(searched: Sequence[Rows], final: Sequence[Rows]) -> dict[str, float] | None:
     """How far scores on a search's vertices were from those on all: (R' - R)/R and P' - P, R' and P' the search's.
 
-    Medians tell the bias, the others the largest size; g is scaled so that P fits for random setups. None where there
+    Medians show the bias, the others the largest size; g is scaled so that P fits for random setups. None where there
     are no rows.
     """
     if not searched:
@@ -76,7 +76,7 @@ def differences(searched: Sequence[Rows], final: Sequence[Rows]) -> dict[str, fl
 
 
 def describe(device: torch.device) -> str:
-    """The device in words: `cpu`, or `cuda (NVIDIA ...)`."""
+    """The name of the device: `cpu`, or `cuda (NVIDIA ...)`."""
     return f"cuda ({torch.cuda.get_device_name(device)})" if device.type == "cuda" else device.type
 
 

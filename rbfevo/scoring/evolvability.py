@@ -57,13 +57,13 @@ def evolvability(U: Tensor, gradient: Tensor, weights: Tensor | None = None) -> 
         maximized.
     """
     n, m = U.shape[-2:]
-    sigma, kept, rest = projection(U, gradient, weights)
+    sigma, kept, residual = projection(U, gradient, weights)
     rank = kept.sum(-1)
     largest = sigma[..., 0]
     regularity = torch.where(
         (rank == m) & (largest > 0), sigma[..., -1] / largest.clamp(min=torch.finfo(U.dtype).tiny), 0.0
     )
-    return regularity, (1.0 - rest).clamp(0.0, 1.0), rank.to(U.dtype) / n
+    return regularity, (1.0 - residual).clamp(0.0, 1.0), rank.to(U.dtype) / n
 
 
 def projection(U: Tensor, gradient: Tensor, weights: Tensor | None = None) -> tuple[Tensor, Tensor, Tensor]:
@@ -73,8 +73,8 @@ def projection(U: Tensor, gradient: Tensor, weights: Tensor | None = None) -> tu
         U, gradient = weights.sqrt()[:, None] * U, weights.sqrt()[:, None] * gradient
     if U.ndim > 2:  # one at a time: in a batch LAPACK may round by where a matrix lies
         found = [projection(one, gradient) for one in U.reshape(-1, n, m)]
-        sigma, kept, rest = (torch.stack(part) for part in zip(*found, strict=True))
-        return sigma.reshape(*U.shape[:-2], -1), kept.reshape(*U.shape[:-2], -1), rest.reshape(U.shape[:-2])
+        sigma, kept, residual = (torch.stack(part) for part in zip(*found, strict=True))
+        return sigma.reshape(*U.shape[:-2], -1), kept.reshape(*U.shape[:-2], -1), residual.reshape(U.shape[:-2])
     with coarse():
         left, sigma, _ = torch.linalg.svd(U, full_matrices=False)
         kept = sigma > cutoff(n, m) * sigma[:1]

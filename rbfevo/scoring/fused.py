@@ -4,6 +4,9 @@ For each setup and each block of B vertices the rows phi(|c_j - x_i|) [m, B] are
 that stays in the second-level cache, the Gram matrix takes them up by 4 x 4 tiles of registers, and the next block
 overwrites them. Rows of a compactly supported kernel whose block lies out of reach are skipped altogether.
 
+The functions stand in one module, though it is long: numba keeps machine code on disk by the date of the file that a
+function stands in, and would go on with old code of those that it calls from another file.
+
 All functions release the GIL and take one slice of the population, so that a plain thread pool runs them in parallel.
 Shapes: C [p, m, d] centers, X [d, n] vertices in block order, W [n] square roots of the weights, g [k, n] gradient
 times W, `starts` [blocks + 1], `low` and `high` [blocks, d] the blocks' bounding boxes. All arrays float64.

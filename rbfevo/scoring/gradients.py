@@ -52,7 +52,9 @@ class Spectrum:
             )
             self.regular &= ~lost
             if T.shape[1] != T.shape[2]:
-                raise UserError(f"representation={evaluator.representation.name} has no gradients if direct")
+                raise UserError(
+                    f"representation={evaluator.representation.name} has no gradients under direct manipulation"
+                )
         identity = torch.eye(m, dtype=T.dtype, device=T.device)
         self._V, self.sigma = left_singular(torch.where(self.regular[:, None, None], T, identity))
 
@@ -83,7 +85,7 @@ class Spectrum:
             representation = self.evaluator.representation
             found = representation.pull_reduction(self.centers, Pull(self._V * dlog_sigma[:, None, :], Z))
             if found is None:
-                raise UserError(f"representation={representation.name} has no gradients if direct")
+                raise UserError(f"representation={representation.name} has no gradients under direct manipulation")
             gradient += found
         sound = torch.isfinite(gradient).flatten(1).all(1)
         return torch.where(sound.view(-1, *(1,) * (gradient.ndim - 1)), gradient, 0.0)

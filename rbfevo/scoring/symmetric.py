@@ -94,17 +94,17 @@ class MirroredEvaluator(Evaluator):
             return failure
         setup = self.mirror.snapped(setup)
         free = setup[~self.mirror.on_plane(setup)]
-        rank, rest, lost, sigmas = 0, 0.0, False, []
+        rank, residual, lost, sigmas = 0, 0.0, False, []
         for part, centers in ((self.along, setup), (self.across, free)):
             roots = self.weights.sqrt()[:, None]
             if not len(centers):
-                rest = rest + (roots * part.gradient).square().sum()
+                residual = residual + (roots * part.gradient).square().sum()
                 continue
             Phi = part.deformation.phi(centers)
             if not bool(torch.isfinite(Phi).all()):
                 return failure
             sigma, kept, left = projection(Phi, part.gradient, self.weights)
-            rest, lost = rest + left, lost or not bool(kept.all())
+            residual, lost = residual + left, lost or not bool(kept.all())
             rank = int(kept.sum()) if part is self.along else rank
             if self.deformation.manipulation != "indirect" and not lost:
                 U = part.representation.matrix(Phi, centers, self.deformation.manipulation)
@@ -113,7 +113,9 @@ class MirroredEvaluator(Evaluator):
             sigmas.append(sigma)
         every = torch.cat(sigmas)
         regularity = 0.0 if lost or not bool(every.amax() > 0) else float(every.amin() / every.amax())
-        scores = setup.new_tensor([regularity, min(max(1.0 - float(rest), 0.0), 1.0), rank / len(self.weights), 0.0])
+        scores = setup.new_tensor(
+            [regularity, min(max(1.0 - float(residual), 0.0), 1.0), rank / len(self.weights), 0.0]
+        )
         return scores if bool(torch.isfinite(scores).all()) else failure
 
     def spectrum(self, centers: Tensor) -> MirroredSpectrum:

@@ -52,7 +52,7 @@ class CMAES:
             its normals and sorting.
 
     Attributes:
-        best: [B, D] the best point told so far, the start until there is one.
+        best: [B, D] the best point evaluated so far, the start until there is one.
         best_fitness: [B] its fitness, -inf until there is one.
         sigma: [B] step sizes, in the unit of the argument.
         generation: number of `tell`s.
@@ -138,7 +138,7 @@ class CMAES:
             UserError: without an `ask` before it, or for another shape.
         """
         if self._z is None or self._x is None:
-            raise UserError("CMAES.tell: there are no offspring to tell of; call ask() first")
+            raise UserError("CMAES.tell: there are no offspring; call ask() first")
         if fitness.shape != self._z.shape[:2]:
             expected, given = list(self._z.shape[:2]), list(fitness.shape)
             raise UserError(f"CMAES.tell: fitness must be [elements, offspring] = {expected}, not {given}")

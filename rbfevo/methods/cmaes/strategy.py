@@ -12,7 +12,7 @@ class Strategy:
 
     Attributes:
         positive, negative: recombination weights of the best and of the worst offspring, best to worst.
-        mu_eff: variance effective selection mass. The rest carry the tutorial's names; chi = E|N(0, I)|.
+        mu_eff: variance effective selection mass. The others carry the tutorial's names; chi = E|N(0, I)|.
     """
 
     positive: tuple[float, ...]

@@ -12,13 +12,13 @@ from rbfevo.scoring.gradients import Spectrum
 from rbfevo.scoring.pareto import nondominated, well_spread
 
 LEAST_REGULARITY = 1e-12  # floors of log R and of log (1 - P): no gradient below
-LEAST_REST = 1e-9
+LEAST_RESIDUAL = 1e-9
 
 
 def climbs(objectives: Tensor) -> Tensor:
     """Objectives [..., 2] (R, P) on the scales that gradients like: (log R, -log(1 - P)), with floors; maximized."""
-    rest = (1.0 - objectives[..., 1]).clamp_min(LEAST_REST)
-    return torch.stack((objectives[..., 0].clamp_min(LEAST_REGULARITY).log(), -rest.log()), dim=-1)
+    residual = (1.0 - objectives[..., 1]).clamp_min(LEAST_RESIDUAL)
+    return torch.stack((objectives[..., 0].clamp_min(LEAST_REGULARITY).log(), -residual.log()), dim=-1)
 
 
 def soft_regularity(spectrum: Spectrum, exponent: Tensor) -> tuple[Tensor, Tensor]:
@@ -66,11 +66,11 @@ class WeightedSum(Aim):
 
     def __call__(self, log_regularity: Tensor, potential: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values, and both gradients."""
-        w, rest = self.weights, 1.0 - potential
-        climbing = rest > LEAST_REST
-        rest = rest.clamp_min(LEAST_REST)
-        value = w * log_regularity - (1.0 - w) * rest.log()
-        return value, w, torch.where(climbing, (1.0 - w) / rest, 0.0)
+        w, residual = self.weights, 1.0 - potential
+        climbing = residual > LEAST_RESIDUAL
+        residual = residual.clamp_min(LEAST_RESIDUAL)
+        value = w * log_regularity - (1.0 - w) * residual.log()
+        return value, w, torch.where(climbing, (1.0 - w) / residual, 0.0)
 
 
 class Tchebycheff(Aim):
@@ -97,15 +97,15 @@ class Tchebycheff(Aim):
         return {"kind": "tchebycheff", **parts, "origin": None if self.origin is None else self.origin.clone()}
 
     def __call__(self, log_regularity: Tensor, potential: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Values, and both gradients; the first call says where each element stands."""
-        rest = 1.0 - potential
-        f = torch.stack((log_regularity, -rest.clamp_min(LEAST_REST).log()), dim=1)
+        """Values, and both gradients; the first call fixes where each element stands."""
+        residual = 1.0 - potential
+        f = torch.stack((log_regularity, -residual.clamp_min(LEAST_RESIDUAL).log()), dim=1)
         if self.origin is None:
             self.origin = f
         losses = self.normals - (f - self.origin) / (self.span * self.tau)
         slopes = torch.softmax(losses, 1) / self.span
-        climbing = rest > LEAST_REST
-        in_potential = torch.where(climbing, slopes[:, 1] / rest.clamp_min(LEAST_REST), 0.0)
+        climbing = residual > LEAST_RESIDUAL
+        in_potential = torch.where(climbing, slopes[:, 1] / residual.clamp_min(LEAST_RESIDUAL), 0.0)
         return -self.tau * torch.logsumexp(losses, 1), slopes[:, 0], in_potential
 
 
@@ -142,7 +142,7 @@ def front_normals(front: Tensor, rows: Tensor, window: float = 0.05) -> tuple[Te
     The normal is that of the chord over `window` times the front's length on either side, both axes scaled by extent.
     """
     f = climbs(front)
-    span = (f[-1] - f[0]).abs().clamp_min(LEAST_REST)
+    span = (f[-1] - f[0]).abs().clamp_min(LEAST_RESIDUAL)
     scaled = f / span
     along = torch.cat((f.new_zeros(1), scaled.diff(dim=0).norm(dim=1).cumsum(0)))
     reach = window * along[-1]

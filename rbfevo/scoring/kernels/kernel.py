@@ -67,7 +67,7 @@ def kernel_of(spec: dict[str, Any]) -> Kernel:
         found = getattr(importlib.import_module(module), name)
         made = found(**numbers) if isinstance(found, type) and issubclass(found, Kernel) else None
     except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise UserError(f"the kernel {target} of the run is not there: {error}; install what it comes from") from None
+        raise UserError(f"the kernel {target} of this run cannot be imported ({error}); install its package") from None
     if made is None:
-        raise UserError(f"{target} is no kernel")
+        raise UserError(f"{target} is not a kernel")
     return made

@@ -163,5 +163,5 @@ def representation_of(spec: dict[str, Any]) -> Representation:
             return found.of_spec(**numbers)
     except (ImportError, AttributeError, TypeError, ValueError) as error:
         reason = " ".join(str(error).split())
-        raise UserError(f"the representation {target} of the run is not there ({reason}): install it") from None
-    raise UserError(f"{target} is no representation")
+        raise UserError(f"the representation {target} of this run cannot be imported ({reason}); install it") from None
+    raise UserError(f"{target} is not a representation")
