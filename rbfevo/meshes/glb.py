@@ -16,7 +16,8 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.files import write_whole
-from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh
+from rbfevo.meshes.precision import narrowed
 
 KEPT = "GLB is written anew: parts, materials and texture coordinates are kept; the scene's tree and animations are not"
 

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from rbfevo.arrays import Array, Ints
-from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed, written_as
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh, written_as
 from rbfevo.meshes.numbered import places_of
 from rbfevo.meshes.places import Places, integers, lines
 from rbfevo.meshes.places import numbers as floats
+from rbfevo.meshes.precision import narrowed
 
 # Gmsh's type of an element: VTK's kind, its number of nodes, and VTK's order of them where it is another one.
 _TYPES: dict[int, tuple[int, int]] = {

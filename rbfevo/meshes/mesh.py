@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbfevo.arrays import Array, Ints
-from rbfevo.errors import UserError
 from rbfevo.files import write_whole
 
 
@@ -114,19 +113,6 @@ def written_as(content: Callable[[Array], bytes]) -> Callable[[Array, Array, Pat
         return []
 
     return write
-
-
-def narrowed(points: Array, dtype: np.dtype) -> Array:
-    """Points in the precision of their file.
-
-    Raises:
-        UserError: if they are too large for it.
-    """
-    with np.errstate(over="ignore"):
-        narrow = points.astype(dtype)
-    if not np.isfinite(narrow).all():
-        raise UserError(f"the deformed points are too large for the {8 * dtype.itemsize}-bit numbers of the file")
-    return narrow
 
 
 def stale_normals(there: bool) -> list[str]:

@@ -7,7 +7,8 @@ import io
 import numpy as np
 
 from rbfevo.arrays import Array
-from rbfevo.meshes.mesh import FormatError, Mesh, narrowed, written_as
+from rbfevo.meshes.mesh import FormatError, Mesh, written_as
+from rbfevo.meshes.precision import narrowed
 
 
 def read_npy(content: bytes) -> Mesh:

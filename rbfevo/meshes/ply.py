@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rbfevo.arrays import Array
-from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed, stale_normals, written_as
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh, stale_normals, written_as
 from rbfevo.meshes.places import Places, numbers
+from rbfevo.meshes.precision import narrowed
 
 TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),

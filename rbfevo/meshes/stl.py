@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from rbfevo.arrays import Array, Ints
-from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed, written_as
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh, written_as
 from rbfevo.meshes.places import Places, lines
+from rbfevo.meshes.precision import narrowed
 
 FACET = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
