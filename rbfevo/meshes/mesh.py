@@ -109,6 +109,7 @@ def written_as(content: Callable[[Array], bytes]) -> Callable[[Array, Array, Pat
     """A `write` of a format whose whole file is made from the moved points [n, 3]."""
 
     def write(moved: Array, _: Array, out: Path) -> list[str]:
+        """Write the file with moved points [n, 3], whole; return no notes."""
         write_whole(out, content(moved))
         return []
 

@@ -25,6 +25,7 @@ def read_npy(content: bytes) -> Mesh:
     width, dtype = array.shape[1], array.dtype
 
     def rewritten(moved: Array) -> bytes:
+        """The bytes of the file with moved points [n, 3]."""
         buffer = io.BytesIO()
         np.save(buffer, narrowed(moved[:, :width], dtype))
         return buffer.getvalue()
