@@ -14,6 +14,7 @@ from rbfevo.arrays import Array
 from rbfevo.commands import parsers
 from rbfevo.commands.center_rows import read_rows
 from rbfevo.errors import UserError
+from rbfevo.geometry.triangles import doubled_area_vectors
 from rbfevo.recorded.moves import places_of
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
@@ -170,12 +171,8 @@ def _boxes(record: Record, lowest: Array, highest: Array) -> str:
 
 
 def _dots(before: Array, after: Array, triangles: Array) -> Array:
-    """Products [f] of the area vectors of triangles before and after."""
-    areas = [
-        np.cross(p[triangles[:, 1]] - p[triangles[:, 0]], p[triangles[:, 2]] - p[triangles[:, 0]])
-        for p in (before, after)
-    ]
-    return (areas[0] * areas[1]).sum(axis=1)
+    """Products [f] of the doubled area vectors of triangles before and after."""
+    return (doubled_area_vectors(before, triangles) * doubled_area_vectors(after, triangles)).sum(axis=1)
 
 
 if __name__ == "__main__":

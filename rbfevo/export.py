@@ -165,7 +165,7 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
 def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
     """Write centers.vtp and template.vtp."""
     from rbfevo.meshes.foreign import write_dataset
-    from rbfevo.meshes.program import polydata
+    from rbfevo.meshes.vtk_datasets import polydata
 
     physical = chosen.centers_and_images()
     arrays: dict[str, Array] = {

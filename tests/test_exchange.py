@@ -359,9 +359,8 @@ def test_a_mesh_that_meshio_would_lose_or_cannot_read_is_one_line(tmp_path: Path
 
 
 def test_meshio_that_reads_for_ever_is_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    program = "import sys, time; sys.stdout.flush(); time.sleep(600)"
-    (tmp_path / "program.py").write_text(program)
-    monkeypatch.setattr("rbfevo.meshes.program.__file__", str(tmp_path / "program.py"))
+    (tmp_path / "worker.py").write_text("import sys, time; sys.stdout.flush(); time.sleep(600)")
+    monkeypatch.setattr("rbfevo.meshes.foreign.WORKER", tmp_path / "worker.py")
     monkeypatch.setattr("rbfevo.meshes.foreign.PATIENCE", 0.5)
     (tmp_path / "a.msh").write_bytes(b"anything")
     with pytest.raises(UserError, match=r"meshio comes to no end with it in \d+ s: damaged"):

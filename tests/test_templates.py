@@ -14,7 +14,8 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from rbfevo.errors import UserError
-from rbfevo.meshes import ENDINGS, OWN, FormatError, foreign, program
+from rbfevo.meshes import ENDINGS, OWN, FormatError, foreign
+from rbfevo.meshes.worker import serve
 from rbfevo.scenarios.templates import Template, read_template
 
 BALL = trimesh.creation.icosphere(subdivisions=1, radius=3.0)
@@ -74,14 +75,14 @@ def nastran(points: np.ndarray, faces: np.ndarray, kind: str = "CTRIA3", system:
 
 @pytest.fixture
 def here(monkeypatch) -> None:
-    """Run the readers' program in this process: a second saved for each sound file."""
+    """Run the worker's readers in this process: a second saved for each sound file."""
 
     @contextlib.contextmanager
     def read(kind: str, path: Path):
         try:
-            reply = program.KINDS[kind](path).reply
+            reply = serve.KINDS[kind](path).reply
         except (Exception, SystemExit) as error:
-            raise FormatError(program.problem(error)) from None
+            raise FormatError(serve.problem(error)) from None
         yield foreign.mesh_of(reply, lambda *_: [], [])
 
     monkeypatch.setattr(foreign, "foreign", read)
@@ -501,8 +502,9 @@ BATCH = """
 import runpy, signal, sys
 import numpy as np
 from pathlib import Path
-program, *paths = sys.argv[1:]
-found = runpy.run_path(program)
+worker, *paths = sys.argv[1:]
+runpy.run_path(worker)["enter"]()
+from rbfevo.meshes.worker.serve import KINDS, problem
 def late(*_):
     raise TimeoutError("no end of it")
 signal.signal(signal.SIGALRM, late)
@@ -511,9 +513,9 @@ for path in map(Path, paths):
     Path(f"{path}.tried").touch()
     signal.setitimer(signal.ITIMER_REAL, 0.5)
     try:
-        reply = found["KINDS"][kind](path).reply
+        reply = KINDS[kind](path).reply
     except (Exception, SystemExit) as error:
-        reply = {"problem": found["problem"](error)}
+        reply = {"problem": problem(error)}
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     np.savez(f"{path}.npz", **reply)
 """
@@ -523,7 +525,7 @@ def answered(paths: list[Path]) -> None:
     """Have all `paths` read in one process, or, where a file ends it, in one more for the rest."""
     left = [path for path in paths if path.suffix not in OWN]
     while left:
-        command = [sys.executable, "-P", "-c", BATCH, program.__file__, *map(str, left)]
+        command = [sys.executable, "-P", "-c", BATCH, str(foreign.WORKER), *map(str, left)]
         subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False, timeout=300)
         before, left = left, [path for path in left if not Path(f"{path}.tried").exists()]
         assert len(left) < len(before)

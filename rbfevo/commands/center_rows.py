@@ -10,7 +10,7 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
-from rbfevo.meshes.tables import read_table
+from rbfevo.meshes.text_table import read_table
 
 _SAME = 1e-6  # of the largest coordinate: spreadsheets round
 LETTERS = {"displacements": "d", "weights": "w"}

@@ -10,6 +10,7 @@ import numpy as np
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.geometry import topology
+from rbfevo.geometry.triangles import triangle_areas
 from rbfevo.meshes import cells, ending_of, opened
 from rbfevo.meshes.mesh import Mesh
 from rbfevo.meshes.surface import Surface
@@ -69,7 +70,7 @@ def _measure(found: dict[str, Any], path: Path, mesh: Mesh, part: Surface) -> No
     found["vertices"], found["triangles"] = len(template.vertices), len(template.triangles)
     edges = topology.edges_of(len(template.vertices), template.triangles)
     odd = topology.words(template.vertices, template.triangles, edges)
-    found["area"] = float(topology.areas(template.vertices, template.triangles).sum())
+    found["area"] = float(triangle_areas(template.vertices, template.triangles).sum())
     found["pieces"] = topology.pieces(len(template.vertices), edges)
     if (edges.uses == 2).all() and "winding" not in odd:
         found["volume"] = topology.volume(template.vertices, template.triangles)

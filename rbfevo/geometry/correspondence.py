@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from rbfevo.geometry.triangles import doubled_area_vectors
+
 Points = NDArray[np.float64]
 Triangles = NDArray[np.int64]
 Indices = NDArray[np.int64]
@@ -76,8 +78,7 @@ def from_behind(triangle: Indices, outward: Points, kept: Mask, vertices: Points
     `outward` [p, 3] are the points' own normals. Outer is the side that most of the kept pairs see, since a scan may
     be turned inside out as a whole.
     """
-    a, b, c = np.moveaxis(vertices[triangles[triangle]], 1, 0)
-    agreement = (np.cross(b - a, c - a) * outward).sum(axis=1)
+    agreement = (doubled_area_vectors(vertices, triangles[triangle]) * outward).sum(axis=1)
     sign = -1.0 if (agreement[kept] < 0.0).sum() > kept.sum() / 2 else 1.0
     return kept & (sign * agreement < 0.0)
 

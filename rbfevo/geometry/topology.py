@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components
 
 from rbfevo.arrays import Points, Triangles
 from rbfevo.geometry.crossings import piercing_edges
+from rbfevo.geometry.triangles import doubled_area_vectors, triangle_areas
 
 MOST_TRIANGLES = 200_000  # looked at for crossings
 _FLAT = 1e-3  # volume over area^1.5, below which a surface has no inside; a ball has 0.094
@@ -113,7 +114,7 @@ def inward(vertices: Points, triangles: Triangles) -> bool:
         return False
     a, b, c = np.moveaxis(vertices[triangles] - vertices[border].mean(axis=0), 1, 0)
     enclosed = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
-    return enclosed < -_FLAT * float(areas(vertices, triangles).sum()) ** 1.5
+    return enclosed < -_FLAT * float(triangle_areas(vertices, triangles).sum()) ** 1.5
 
 
 def rim(vertices: Points, triangles: Triangles) -> NDArray[np.int64]:
@@ -125,14 +126,9 @@ def rim(vertices: Points, triangles: Triangles) -> NDArray[np.int64]:
 def vertex_normals(vertices: Points, triangles: Triangles) -> Points:
     """Return unit normals [n, 3] of the vertices, each triangle's weighted with its area; zero where they cancel."""
     scale = float(np.abs(vertices).max()) or 1.0
-    sums = _summed(_doubled_areas(vertices / scale, triangles), triangles, len(vertices))
+    sums = _summed(doubled_area_vectors(vertices / scale, triangles), triangles, len(vertices))
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return np.divide(sums, lengths, out=np.zeros_like(sums), where=lengths > 0.0)
-
-
-def areas(vertices: Points, triangles: Triangles) -> NDArray[np.float64]:
-    """Return the areas [f] of triangles, in squared units."""
-    return np.linalg.norm(_doubled_areas(vertices, triangles), axis=1) / 2.0
 
 
 def volume(vertices: Points, triangles: Triangles) -> float:
@@ -143,7 +139,7 @@ def volume(vertices: Points, triangles: Triangles) -> float:
 
 def vertex_areas(vertices: Points, triangles: Triangles) -> NDArray[np.float64]:
     """Return the area [n] of the surface about each vertex: a third of each of its triangles', in squared units."""
-    thirds = areas(vertices, triangles)[:, None] / 3.0
+    thirds = triangle_areas(vertices, triangles)[:, None] / 3.0
     return _summed(thirds, triangles, len(vertices))[:, 0]
 
 
@@ -215,11 +211,6 @@ def _nested(
     for shell in largest:
         nested |= ((low > low[shell]) & (high < high[shell])).all(axis=1)
     return nested
-
-
-def _doubled_areas(vertices: Points, triangles: Triangles) -> Points:
-    a, b, c = np.moveaxis(vertices[triangles], 1, 0)
-    return np.cross(b - a, c - a)
 
 
 def _summed(values: Points, triangles: Triangles, n: int) -> Points:

@@ -17,7 +17,7 @@ import numpy as np
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.files import refuse_missing
-from rbfevo.meshes import cells, foreign, program
+from rbfevo.meshes import cells, foreign, vtk_datasets
 from rbfevo.meshes.abaqus import read_abaqus
 from rbfevo.meshes.clouds import read_cloud
 from rbfevo.meshes.glb import read_glb
@@ -167,10 +167,10 @@ def write(mesh: Mesh, source: Path, moved: Array, displacement: Array, out: Path
         raise UserError(f"--out {out}: the mesh fills a volume; choose an ending of .vtu or .vtk")
     if wanted == ".vtp":
         triangles = cells.surface(mesh.points, mesh.cells).triangles
-        dataset = program.polydata(moved, triangles if len(triangles) else None, arrays)
+        dataset = vtk_datasets.polydata(moved, triangles if len(triangles) else None, arrays)
         foreign.write_dataset(dataset, out)
         return [f"converted to {wanted}: points, triangles, point arrays and the displacement; nothing else is kept"]
     own = mesh.cells
-    dataset = program.grid(moved, own.kinds, own.sizes, own.corners, arrays, mesh.cell_arrays)
+    dataset = vtk_datasets.grid(moved, own.kinds, own.sizes, own.corners, arrays, mesh.cell_arrays)
     foreign.write_dataset(dataset, out)
     return [f"converted to {wanted}: points, cells, arrays and the displacement; names and groups are not kept"]

@@ -239,6 +239,7 @@ def _pyramids(points: Array, faces: Faces) -> Array:
     face = np.repeat(np.arange(len(faces.sizes)), faces.sizes)
 
     def means(of: Ints, values: Array) -> Array:
+        """The means [g, 3] of the values [k, 3] of each of the groups `of` [k]."""
         sums = np.stack([np.bincount(of, column) for column in values.T], axis=1)
         return sums / np.bincount(of)[:, None]
 

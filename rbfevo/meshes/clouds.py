@@ -8,7 +8,7 @@ from rbfevo.arrays import Array
 from rbfevo.meshes.columns import recognized
 from rbfevo.meshes.mesh import FormatError, Mesh, written_as
 from rbfevo.meshes.places import Places
-from rbfevo.meshes.tables import read_table
+from rbfevo.meshes.text_table import read_table
 
 
 def read_cloud(content: bytes) -> Mesh:
@@ -38,6 +38,7 @@ def read_cloud(content: bytes) -> Mesh:
         places.add(offset, line)
 
     def rewritten(moved: Array) -> bytes:
+        """The bytes of the file with moved points [n, 3]; FormatError for UTF-16."""
         if not table.in_place:
             raise FormatError("it is in UTF-16; save it in UTF-8 or ASCII first")
         return places.rewritten(moved)
@@ -48,14 +49,14 @@ def read_cloud(content: bytes) -> Mesh:
 
 def plot3d(content: bytes) -> str:
     """A description of the blocks of a PLOT3D file in text; empty if the file is none."""
-    words = content.split()
+    tokens = content.split()
     for single in (True, False):
-        head = words[:3] if single else words[: 1 + 3 * (int(words[0]) if words and words[0].isdigit() else 0)]
-        if len(head) < 3 or not all(word.isdigit() for word in head):
+        head = tokens[:3] if single else tokens[: 1 + 3 * (int(tokens[0]) if tokens and tokens[0].isdigit() else 0)]
+        if len(head) < 3 or not all(token.isdigit() for token in head):
             continue
-        sizes = [int(word) for word in (head if single else head[1:])]
+        sizes = [int(token) for token in (head if single else head[1:])]
         blocks = [sizes[i : i + 3] for i in range(0, len(sizes), 3)]
         points = sum(math.prod(block) for block in blocks)
-        if blocks and points > 1 and len(words) - len(head) == 3 * points:
+        if blocks and points > 1 and len(tokens) - len(head) == 3 * points:
             return ", ".join(" x ".join(map(str, block)) + " points" for block in blocks)
     return ""

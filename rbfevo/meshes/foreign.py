@@ -1,4 +1,4 @@
-"""The other end of `program.py`: meshes that VTK or meshio reads and writes, in a process that may die."""
+"""Meshes that VTK or meshio reads and writes, in a process that may die: the parent of `rbfevo/meshes/worker`."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
-from rbfevo.meshes import program
+from rbfevo.meshes import vtk_datasets
 from rbfevo.meshes.mesh import Cells, Faces, FormatError, Mesh
+from rbfevo.meshes.worker import messages
 
+WORKER = Path(messages.__file__).with_name("__main__.py")
 PATIENCE, SPEED = 30.0, 2e5  # seconds, and bytes a second: meshio reads some damaged files for ever
 SOLVER = "written anew by meshio, which keeps points, cells and the arrays and sets that it knows, and nothing else"
 
@@ -30,7 +32,7 @@ def foreign(kind: str, path: Path) -> Iterator[Mesh]:
         FormatError: if it cannot be read; UserError by `write` if it cannot be written.
     """
     patience = PATIENCE + path.stat().st_size / SPEED
-    command = [sys.executable, "-P", program.__file__, kind, str(path)]
+    command = [sys.executable, "-P", str(WORKER), kind, str(path)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL) as process:
         try:
@@ -40,6 +42,7 @@ def foreign(kind: str, path: Path) -> Iterator[Mesh]:
                 raise FormatError(str(error)) from None
 
             def write(moved: Array, displacement: Array, out: Path) -> list[str]:
+                """Have the worker write moved points [n, 3] and displacements [n, 3] to a file; return notes."""
                 return _write(process, {"moved": moved, "displacement": displacement}, out, kind, 2 * patience)
 
             yield mesh_of(found, write, [SOLVER] if kind == "meshio" else [])
@@ -48,15 +51,15 @@ def foreign(kind: str, path: Path) -> Iterator[Mesh]:
 
 
 def mesh_of(found: dict[str, Any], write: Callable[[Array, Array, Path], list[str]], kept: list[str]) -> Mesh:
-    """The mesh that a message of the program tells of."""
+    """The mesh that a reply of the worker describes."""
     faces = (found["face cells"], found["face sizes"], found["face corners"])
     return Mesh(
         found["points"].astype(np.float64),
         write,
         Cells(found["kinds"], found["sizes"], found["corners"], Faces(*faces) if len(faces[0]) else None),
-        program.unpacked("array", found),
-        program.unpacked("cell array", found),
-        program.unpacked("patch", found),
+        messages.unpacked("array", found),
+        messages.unpacked("cell array", found),
+        messages.unpacked("patch", found),
         dimension=int(found.get("dimension", 3)),
         kept=kept,
     )
@@ -68,17 +71,17 @@ def _reply(process: subprocess.Popen[bytes], kind: str, patience: float) -> dict
     name, late = {"vtk": "VTK", "meshio": "meshio"}[kind], threading.Event()
 
     def stop() -> None:
+        """End the process, and note that it was too slow."""
         late.set()
         process.kill()
 
     clock = threading.Timer(patience, stop)
     clock.start()
     try:
-        reply = program.receive(process.stdout)
+        reply = messages.receive(process.stdout)
     except EOFError:
-        end = f"comes to no end with it in {patience:.0f} s: damaged"
-        said = end if late.is_set() else "dies of it: damaged, or too large"
-        raise ValueError(f"{name} {said}") from None
+        endless = f"comes to no end with it in {patience:.0f} s: damaged"
+        raise ValueError(f"{name} {endless if late.is_set() else 'dies of it: damaged, or too large'}") from None
     finally:
         clock.cancel()
     if "problem" in reply:
@@ -93,7 +96,7 @@ def _write(
         raise ValueError("the process that writes it has no input")
     with _beside(out) as place:
         try:
-            program.send(process.stdin, {**arrays, "out": str(place)})
+            messages.send(process.stdin, {**arrays, "out": str(place)})
             notes = _reply(process, kind, patience)["notes"]
         except (ValueError, OSError) as error:
             raise UserError(f"{out} cannot be written: {error}") from None
@@ -125,6 +128,6 @@ def write_dataset(dataset: Any, out: Path) -> None:
     """
     with _beside(out) as place:
         try:
-            program.write_dataset(dataset, place)
+            vtk_datasets.write_dataset(dataset, place)
         except ValueError as error:
             raise UserError(f"{out} cannot be written: {error}") from None

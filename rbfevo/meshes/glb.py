@@ -16,7 +16,8 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.files import write_whole
-from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh
+from rbfevo.meshes.precision import narrowed
 
 KEPT = "GLB is written anew: parts, materials and texture coordinates are kept; the scene's tree and animations are not"
 
@@ -61,6 +62,7 @@ def read_glb(content: bytes) -> Mesh:
         count += len(faces)
 
     def write(moved: Array, _: Array, out: Path) -> list[str]:
+        """Write the scene with moved points [n, 3], whole; return no notes."""
         narrowed(moved, np.dtype("f4"))
         deformed, names = trimesh.Scene(), [_name(scenery, entry[0]) for entry in found]
         for number, (node, _, geometry, part) in enumerate(found):
@@ -96,9 +98,9 @@ def _numbered(content: bytes) -> tuple[dict[str, Any], bytes]:
     nodes = [{**node, "name": f"n{number}"} for number, node in enumerate(scenery.get("nodes", []))]
     text = json.dumps({**scenery, "nodes": nodes}).encode()
     text += b" " * (-len(text) % 4)
-    rest = content[20 + length : total]
-    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest)) + struct.pack("<I4s", len(text), b"JSON")
-    return scenery, head + text + rest
+    remaining = content[20 + length : total]
+    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(remaining)) + struct.pack("<I4s", len(text), b"JSON")
+    return scenery, head + text + remaining
 
 
 def _name(scenery: dict[str, Any], node: int) -> str:

@@ -26,13 +26,13 @@ def read_kratos(content: bytes) -> Mesh:
     sets: list[tuple[str, str, list[int]]] = []
     unknown: dict[str, int] = {}
     for offset, line in lines(content, b"//"):
-        words = line.decode("latin-1").split()
-        if words[0] == "Begin":
-            stack.append(words[1:])
+        fields = line.decode("latin-1").split()
+        if fields[0] == "Begin":
+            stack.append(fields[1:])
             continue
-        if words[0] == "End":
-            if not stack or stack[-1][:1] != words[1:2]:
-                raise FormatError(f"'End {' '.join(words[1:])}' ends nothing that has begun")
+        if fields[0] == "End":
+            if not stack or stack[-1][:1] != fields[1:2]:
+                raise FormatError(f"'End {' '.join(fields[1:])}' ends nothing that has begun")
             stack.pop()
             continue
         block = stack[-1] if stack else [""]

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbfevo.arrays import Array, Ints
-from rbfevo.errors import UserError
 from rbfevo.files import write_whole
 
 
@@ -110,23 +109,11 @@ def written_as(content: Callable[[Array], bytes]) -> Callable[[Array, Array, Pat
     """A `write` of a format whose whole file is made from the moved points [n, 3]."""
 
     def write(moved: Array, _: Array, out: Path) -> list[str]:
+        """Write the file with moved points [n, 3], whole; return no notes."""
         write_whole(out, content(moved))
         return []
 
     return write
-
-
-def narrowed(points: Array, dtype: np.dtype) -> Array:
-    """Points in the precision of their file.
-
-    Raises:
-        UserError: if they are too large for it.
-    """
-    with np.errstate(over="ignore"):
-        narrow = points.astype(dtype)
-    if not np.isfinite(narrow).all():
-        raise UserError(f"the deformed points are too large for the {8 * dtype.itemsize}-bit numbers of the file")
-    return narrow
 
 
 def stale_normals(there: bool) -> list[str]:

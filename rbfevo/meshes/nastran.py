@@ -85,6 +85,7 @@ def read_nastran(content: bytes) -> Mesh:
     mesh = numbered.mesh()
 
     def rewritten(moved: Array) -> bytes:
+        """The bytes of the file with moved points [n, 3]."""
         pieces, end = [], 0
         for card, point in zip(cards, moved.tolist(), strict=True):
             for begin, stop, text in _replacements(card, point):

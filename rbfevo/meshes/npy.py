@@ -7,7 +7,8 @@ import io
 import numpy as np
 
 from rbfevo.arrays import Array
-from rbfevo.meshes.mesh import FormatError, Mesh, narrowed, written_as
+from rbfevo.meshes.mesh import FormatError, Mesh, written_as
+from rbfevo.meshes.precision import narrowed
 
 
 def read_npy(content: bytes) -> Mesh:
@@ -24,6 +25,7 @@ def read_npy(content: bytes) -> Mesh:
     width, dtype = array.shape[1], array.dtype
 
     def rewritten(moved: Array) -> bytes:
+        """The bytes of the file with moved points [n, 3]."""
         buffer = io.BytesIO()
         np.save(buffer, narrowed(moved[:, :width], dtype))
         return buffer.getvalue()

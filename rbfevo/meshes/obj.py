@@ -71,9 +71,9 @@ def _numbers(cells: list[int]) -> Ints:
 
 def _corners(line: bytes, count: int) -> list[int]:
     """Corners from 0 of a face, a line or points: the first of the numbers between slashes."""
-    words = line.split()[1:]
+    fields = line.split()[1:]
     try:
-        found = [int(word.split(b"/", 1)[0]) for word in words]
+        found = [int(field.split(b"/", 1)[0]) for field in fields]
     except ValueError:
         raise FormatError(f"a face has a corner that is no number: {line.strip()[:40].decode('latin-1')!r}") from None
     if 0 in found:

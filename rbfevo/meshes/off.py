@@ -23,7 +23,7 @@ def read_off(content: bytes) -> Mesh:
     header, first = b"", listed[0][1].split()
     if not first[0].isdigit():
         header = first[0].upper()
-        if not re.fullmatch(rb"(ST|C|N)*OFF", header) or any(word.upper() == b"BINARY" for word in first):
+        if not re.fullmatch(rb"(ST|C|N)*OFF", header) or any(field.upper() == b"BINARY" for field in first):
             raise FormatError("only text files with three coordinates a point are read")
         first = first[1:]
         listed = listed if first else listed[1:]
@@ -41,9 +41,9 @@ def read_off(content: bytes) -> Mesh:
         places.add(offset, line)
     polygons = []
     for _, line in listed[1 + n :]:
-        words = line.split()
-        size = integers(words[0], "a face")[0]
-        corners = integers(b" ".join(words[1 : 1 + max(size, 0)]), "a face")
+        fields = line.split()
+        size = integers(fields[0], "a face")[0]
+        corners = integers(b" ".join(fields[1 : 1 + max(size, 0)]), "a face")
         if len(corners) != size:
             raise FormatError("a face has fewer corners than it announces")
         polygons.append(corners)

@@ -1,6 +1,6 @@
 """Numbers in the text of a file: the coordinates of its points, and where in the bytes they stand.
 
-Numbers are read from the words of a line; where exactly they stand is looked up only when the file is written back, in
+Numbers are read from the fields of a line; where exactly they stand is looked up only when the file is written back, in
 the lines that were kept for it. So a file of a million points is read at the speed of `bytes.split`.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from rbfevo.arrays import Array
 from rbfevo.meshes.mesh import FormatError
 
-WORD = re.compile(rb"\S+")
+FIELD = re.compile(rb"\S+")
 
 
 def lines(content: bytes, comment: bytes | None = None, start: int = 0) -> Iterator[tuple[int, bytes]]:
@@ -59,9 +59,9 @@ class Places:
         Raises:
             FormatError: if the line has too few fields.
         """
-        words = line.split(self._separator)
+        fields = line.split(self._separator)
         try:
-            self._numbers.extend([words[column] for column in self._columns])
+            self._numbers.extend([fields[column] for column in self._columns])
         except IndexError:
             raise FormatError(
                 f"point {len(self)} (from 0) has too few numbers: {_shown(line)}; "
@@ -96,7 +96,7 @@ class Places:
         found = []
         for (offset, line), point in zip(self._rows, moved[:, : len(self._columns)].tolist(), strict=True):
             if self._separator is None:
-                spans = [word.span() for word in WORD.finditer(line)]
+                spans = [field.span() for field in FIELD.finditer(line)]
             else:
                 spans = _separated(line, self._separator)
             for column, number in zip(self._columns, point, strict=True):
@@ -106,13 +106,13 @@ class Places:
         return found
 
 
-def numbers(words: Sequence[bytes], what: str, each: int) -> Array:
-    """Floats from words; FormatError names the first that is none, as part of the `what` that has `each` of them."""
+def numbers(fields: Sequence[bytes], what: str, each: int) -> Array:
+    """Floats from fields; FormatError names the first that is none, as part of the `what` that has `each` of them."""
     try:
-        return np.array([float(word) for word in words])
+        return np.array([float(field) for field in fields])
     except ValueError:
         pass
-    for place, text in enumerate(words):
+    for place, text in enumerate(fields):
         try:
             float(text)
         except ValueError:
@@ -126,7 +126,7 @@ def numbers(words: Sequence[bytes], what: str, each: int) -> Array:
 def integers(line: bytes, what: str) -> list[int]:
     """Whole numbers of a line; FormatError names the `what` in which something else stands."""
     try:
-        return [int(word) for word in line.split()]
+        return [int(field) for field in line.split()]
     except ValueError:
         raise FormatError(f"{what} has something that is no whole number: {_shown(line)}") from None
 

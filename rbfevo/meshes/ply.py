@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rbfevo.arrays import Array
-from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed, stale_normals, written_as
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh, stale_normals, written_as
 from rbfevo.meshes.places import Places, numbers
+from rbfevo.meshes.precision import narrowed
 
 TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -57,6 +58,7 @@ class _Found:
     cell_arrays: dict[str, Array] = dataclasses.field(default_factory=dict)
 
     def cells(self) -> Cells:
+        """The cells that were found, in the order of the file."""
         if self.triangles is None:
             return Cells.of(self.kinds, self.corners)
         return Cells.blocks([(5, self.triangles), *((6, np.array([strip])) for strip in self.corners)])
@@ -158,7 +160,7 @@ def _text(
             offset += len(line)
         own = [entry.name for entry in element.properties if entry.counted is None]
         if element.name in ("vertex", "face") and rows and own:
-            table = numbers([word for row in rows for word in row], element.name, len(own)).reshape(len(rows), -1)
+            table = numbers([field for row in rows for field in row], element.name, len(own)).reshape(len(rows), -1)
             arrays = found.arrays if element.name == "vertex" else found.cell_arrays
             arrays |= {name: table[:, column] for column, name in enumerate(own) if not _is_axis(element, name)}
     if any(line.strip() for line in lines):
@@ -172,25 +174,25 @@ def _is_axis(element: Element, name: str) -> bool:
 
 def _text_cell(line: bytes, element: Element, found: _Found) -> list[bytes]:
     """Note the corners of a face or strip, and return its numbers that are no lists."""
-    words, place, single = line.split(), 0, []
+    fields, place, single = line.split(), 0, []
     try:
         for entry in element.properties:
             if entry.counted is None:
-                single.append(words[place])
+                single.append(fields[place])
                 place += 1
                 continue
-            count = int(words[place])
-            entries = words[place + 1 : place + 1 + count]
+            count = int(fields[place])
+            entries = fields[place + 1 : place + 1 + count]
             place += 1 + count
             if len(entries) != count or count < 0:
                 raise FormatError("a face has fewer corners than it announces")
             if entry.name in _CORNERS:
-                found.add(element.name, [int(word) for word in entries])
+                found.add(element.name, [int(corner) for corner in entries])
     except (ValueError, IndexError) as error:
         if isinstance(error, FormatError):
             raise
         raise FormatError("a face has a corner that is no number") from None
-    if place != len(words):
+    if place != len(fields):
         raise FormatError("a face has more numbers on its line than the header announces")
     return single
 
@@ -218,6 +220,7 @@ def _binary(
     found.arrays |= {name: vertices[name].astype(np.float64) for name in row.names or () if name not in ("x", "y", "z")}
 
     def rewritten(moved: Array) -> bytes:
+        """The bytes of the file with moved points [n, 3]."""
         changed = bytearray(content)
         rows = np.frombuffer(changed, row, count, begin)
         for column, axis in enumerate("xyz"):

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from rbfevo.arrays import Array, Ints
-from rbfevo.meshes.mesh import Cells, FormatError, Mesh, narrowed, written_as
+from rbfevo.meshes.mesh import Cells, FormatError, Mesh, written_as
 from rbfevo.meshes.places import Places, lines
+from rbfevo.meshes.precision import narrowed
 
 FACET = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -37,6 +38,7 @@ def _binary(content: bytes) -> Mesh:
     points = facets["corners"].astype(np.float64).reshape(-1, 3)
 
     def rewritten(moved: Array) -> bytes:
+        """The bytes of the file with moved points [3 f, 3] and the normals that they have then."""
         changed = bytearray(content)
         rows = np.frombuffer(changed, FACET, offset=84)
         rows["corners"] = narrowed(moved, np.dtype("f4")).reshape(-1, 3, 3)
@@ -60,8 +62,8 @@ def _text(content: bytes) -> Mesh:
             solids.setdefault(name, []).append(len(facets) - 1)
             order.append(0)
         elif keyword == b"solid":
-            words = line.split(None, 1)
-            name = words[1].strip().decode("utf-8", "replace") if len(words) > 1 else f"solid {len(solids)}"
+            fields = line.split(None, 1)
+            name = fields[1].strip().decode("utf-8", "replace") if len(fields) > 1 else f"solid {len(solids)}"
         elif keyword == b"endsolid":
             ends += 1
     if order != [0, 1, 1, 1] * (len(order) // 4):
@@ -70,6 +72,7 @@ def _text(content: bytes) -> Mesh:
         raise FormatError("cut off: its end is missing")
 
     def rewritten(moved: Array) -> bytes:
+        """The bytes of the file with moved points [3 f, 3] and the normals that they have then."""
         return facets.rewritten(_readable(normals(moved)), corners.rewritings(_readable(moved)))
 
     patches = {name: np.array(facets, np.int64) for name, facets in solids.items()} if len(solids) > 1 else {}

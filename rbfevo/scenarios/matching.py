@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rbfevo.arrays import Array, Ints
 from rbfevo.errors import UserError
-from rbfevo.geometry import topology
+from rbfevo.geometry.triangles import triangle_areas
 from rbfevo.meshes.numbered import places_of
 from rbfevo.scenarios.templates import Template
 from rbfevo.scenarios.units import nearest_unit
@@ -183,7 +183,7 @@ def from_cells(values: Array, template: Template, kind: str) -> Array:
             vertex takes the mean by areas; `marks`: a vertex of a marked cell is marked.
     """
     triangles, n = template.triangles, len(template.vertices)
-    areas = topology.areas(template.vertices, triangles)
+    areas = triangle_areas(template.vertices, triangles)
     rows = values[template.cell].reshape(len(triangles), -1)
     if kind == "marks":
         weights = np.ones(len(areas))

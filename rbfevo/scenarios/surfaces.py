@@ -9,6 +9,7 @@ import numpy as np
 
 from rbfevo.arrays import Points, Triangles
 from rbfevo.errors import UserError
+from rbfevo.geometry.triangles import doubled_area_vectors
 from rbfevo.meshes import FormatError, Mesh, opened, refuse_bad_points, refuse_huge
 from rbfevo.meshes.surface import Surface, surface_of
 from rbfevo.names import existing_home
@@ -31,8 +32,7 @@ def read_surface(path: str | Path) -> tuple[Points, Triangles | None]:
     if not len(found.triangles):
         return points, None
     extent = checked_extent(path, points)
-    a, b, c = np.moveaxis((points / extent)[found.triangles], 1, 0)
-    if np.abs(np.cross(b - a, c - a)).max() < 1e-14:
+    if np.abs(doubled_area_vectors(points / extent, found.triangles)).max() < 1e-14:
         raise UserError(f"{path}: none of its {len(found.triangles)} triangles has any area")
     return points, found.triangles
 

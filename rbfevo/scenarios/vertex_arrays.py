@@ -17,7 +17,7 @@ from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.meshes.columns import Columns, Group, recognized
 from rbfevo.meshes.mesh import FormatError
-from rbfevo.meshes.tables import Table, read_table
+from rbfevo.meshes.text_table import TextTable, read_table
 from rbfevo.names import existing_home
 from rbfevo.scenarios import matching
 from rbfevo.scenarios.matching import Match
@@ -148,7 +148,7 @@ def _by_order(values: Array, template: Template, kind: str) -> VertexArray:
     return VertexArray(_fitting(values[found.rows], template), found.note)
 
 
-def _of_table(table: Table, template: Template, what: str, match: str, kind: str) -> VertexArray:
+def _of_table(table: TextTable, template: Template, what: str, match: str, kind: str) -> VertexArray:
     """The values of a table, each at its vertex."""
     if table.header is None:
         columns, values = _nameless(table, template)
@@ -175,11 +175,11 @@ def _of_table(table: Table, template: Template, what: str, match: str, kind: str
     return VertexArray(carried, "; ".join([_titled(table, values) + found.note, *table.notes]), other)
 
 
-def _titled(table: Table, values: tuple[int, ...]) -> str:
+def _titled(table: TextTable, values: tuple[int, ...]) -> str:
     return "" if table.header is None else f"{', '.join(table.header[column] for column in values)}: "
 
 
-def _by_ids(table: Table, columns: Columns, template: Template) -> Match:
+def _by_ids(table: TextTable, columns: Columns, template: Template) -> Match:
     """Rows by the first column of ids that holds the mesh's numbers."""
     problems = []
     for column in columns.ids:
@@ -191,7 +191,7 @@ def _by_ids(table: Table, columns: Columns, template: Template) -> Match:
     raise problems[0]
 
 
-def _nameless(table: Table, template: Template) -> tuple[Columns, tuple[int, ...]]:
+def _nameless(table: TextTable, template: Template) -> tuple[Columns, tuple[int, ...]]:
     """Coordinates, ids and values of a table without a header: only where it can be one thing alone."""
     nothing = Columns({}, "", (), (), (), ())
     if table.width == 1:
@@ -217,7 +217,7 @@ def _nameless(table: Table, template: Template) -> tuple[Columns, tuple[int, ...
     )
 
 
-def _chosen(table: Table, columns: Columns, what: str) -> Group:
+def _chosen(table: TextTable, columns: Columns, what: str) -> Group:
     """The one quantity of a table that is meant: that named `what`, or the only one."""
     names = table.header or []
     groups = [*columns.values, *columns.aside]

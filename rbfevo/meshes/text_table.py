@@ -20,7 +20,7 @@ _DECIMAL_COMMA = re.compile(rb"[-+]?\d*,\d+(?:[eEdD][-+]?\d+)?")
 
 
 @dataclasses.dataclass(frozen=True)
-class Table:
+class TextTable:
     """Rows of a text file, not yet numbers.
 
     Attributes:
@@ -46,31 +46,31 @@ class Table:
             FormatError: where a field is no number.
         """
         columns = range(self.width) if columns is None else columns
-        words = []
+        fields = []
         for _, line in self.rows:
-            fields = _fields(line, self.separator)
-            words.extend(fields[column] for column in columns)
+            row = _fields(line, self.separator)
+            fields.extend(row[column] for column in columns)
         if self.comma:
-            words = [word.replace(b",", b".") for word in words]
+            fields = [field.replace(b",", b".") for field in fields]
         try:
-            found = np.array([float(word) for word in words])
+            found = np.array([float(field) for field in fields])
         except ValueError:
-            found = self._fortran(words, len(columns))
+            found = self._fortran(fields, len(columns))
         return found.reshape(len(self.rows), len(columns))
 
-    def _fortran(self, words: list[bytes], each: int) -> Array:
+    def _fortran(self, fields: list[bytes], each: int) -> Array:
         """Numbers with D for E, or the first that is none."""
         found = []
-        for place, word in enumerate(words):
-            if not _NUMBER.fullmatch(word):
+        for place, field in enumerate(fields):
+            if not _NUMBER.fullmatch(field):
                 row = self.rows[place // each][1].strip()[:60].decode("latin-1")
-                shown = word[:40].decode("latin-1")
+                shown = field[:40].decode("latin-1")
                 raise FormatError(f"row {place // each} (from 0) has {shown!r} where a number is expected: {row!r}")
-            found.append(float(re.sub(rb"[dD]", b"e", word)))
+            found.append(float(re.sub(rb"[dD]", b"e", field)))
         return np.array(found)
 
 
-def read_table(content: bytes) -> Table:
+def read_table(content: bytes) -> TextTable:
     """Split a text into rows: comma, semicolon, tab or blanks between the fields, with or without a header.
 
     Comments begin with #, //, % or !; the last one before the rows is their header if it has as many names (COMSOL). A
@@ -150,7 +150,7 @@ def read_table(content: bytes) -> Table:
     for number, (_, line) in enumerate(rows):
         if len(_fields(line, separator)) != width:
             raise FormatError(f"row {number} (from 0) has {len(_fields(line, separator))} fields instead of {width}")
-    return Table(header, rows, width, separator, comma, in_place, notes)
+    return TextTable(header, rows, width, separator, comma, in_place, notes)
 
 
 def _split(
@@ -173,7 +173,7 @@ def _split(
 def _fields(line: bytes, separator: bytes | None) -> list[bytes]:
     """The fields of a row without blanks and quotes around them; an empty one at the end is left out."""
     if separator is None:
-        return [word.strip(b"\"'") for word in line.split()] if b'"' not in line else _quoted(line, " ")
+        return [field.strip(b"\"'") for field in line.split()] if b'"' not in line else _quoted(line, " ")
     if b'"' in line:
         fields = _quoted(line, separator.decode("latin-1"))
     else:
