@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rbfevo.errors import UserError
 from rbfevo.geometry import placement
 from rbfevo.meshes import ENDINGS
-from rbfevo.scenarios.surfaces import read_surface
+from rbfevo.scenarios.reading import read_surface
 
 BALL = trimesh.creation.icosphere(subdivisions=1, radius=3.0)
 SQUARE = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]])
