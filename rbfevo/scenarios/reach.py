@@ -48,6 +48,6 @@ def out_of_reach(scenario: Scenario, support: float | None, centers: Tensor) -> 
     if not bool((idle > 0).any()):
         return []
     return [
-        f"{int((idle > 0).sum())} of {len(idle)} setups have R = 0: some of their centers (up to {int(idle.max())}) have "
-        f"no vertex within the support radius {support:g} and move nothing"
+        f"{int((idle > 0).sum())} of {len(idle)} setups have R = 0: some of their centers (up to {int(idle.max())}) "
+        f"have no vertex within the support radius {support:g} and move nothing"
     ]

@@ -18,7 +18,7 @@ def read_surface(path: str | Path) -> tuple[Points, Triangles | None]:
     """Read vertices [n, 3] float64 and triangles [f, 3] int64, or None for a bare cloud, in the file's own units.
 
     The ending determines the format, one of `rbfevo.meshes.ENDINGS`. Polygons are cut into triangles; of a mesh that
-    fills a volume the boundary is taken. Vertices keep the file's order; STL repeats a vertex for each of its triangles.
+    fills a volume the boundary is taken. Vertices keep the file's order; STL repeats a vertex for each triangle.
 
     Raises:
         UserError: if the file is missing, unreadable, of an unknown ending, or holds no usable surface or cloud.
