@@ -56,7 +56,9 @@ def _fraction(text: str) -> float:
     """A number, or a percentage of 1."""
     number, percent = number_or_percentage(text)
     if math.isnan(number):
-        raise argparse.ArgumentTypeError(f"{text} is neither a number nor a percentage such as 5%")
+        raise argparse.ArgumentTypeError(
+            f"{text} is neither a fraction above 0 and at most 1 nor a percentage such as 5%"
+        )
     return number / 100.0 if percent else number
 
 

@@ -382,7 +382,7 @@ def test_turning_is_a_rotation(up, front):
 
 @pytest.mark.parametrize("axis", ["w", "", "xy", "--x", "+", "1", None, 3])
 def test_bad_axes(axis):
-    with pytest.raises(UserError, match="up must be x, y, z"):
+    with pytest.raises(UserError, match=r"scenario\.up=.*: choose x, y, z, -x, -y or -z"):
         placement.turn(np.eye(3), axis, "z")
 
 

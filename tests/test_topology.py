@@ -60,15 +60,13 @@ def test_winding():
     vertices, triangles = ball()
     triangles = triangles.copy()
     triangles[7] = triangles[7, ::-1]
-    assert topology.oddities(vertices, triangles) == {
-        "winding": "at 3 edges the two triangles are wound against each other"
-    }
+    assert topology.oddities(vertices, triangles) == {"winding": "at 3 edges the two triangles have opposite winding"}
 
 
 def test_inside_out():
     vertices, triangles = ball()
     found = topology.oddities(*parts((vertices + 1e4, triangles[:, ::-1]), ball(-50.0)))
-    assert found["inside out"] == "1 of 2 closed pieces have their normals inside"
+    assert found["inside out"] == "1 of 2 closed pieces have normals that point inwards"
     vertices, triangles = strip(twisted=False)
     assert "inside out" not in topology.oddities(vertices, triangles[:, ::-1])
 
@@ -106,7 +104,7 @@ def test_seams_and_touches_are_no_crossings():
 
 def test_crossings_of_a_large_mesh_are_not_looked_for(monkeypatch):
     monkeypatch.setattr(topology, "MOST_TRIANGLES", len(BALL.faces) - 1)
-    assert topology.oddities(*ball())["crossings"].startswith("whether it passes through itself was not looked for")
+    assert topology.oddities(*ball())["crossings"].startswith("self-intersections were not searched for")
 
 
 def consistent(triangles: np.ndarray) -> bool:

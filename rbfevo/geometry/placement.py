@@ -66,7 +66,9 @@ def turn(vertices: Points, up: str, front: str) -> Points:
     """
     y, z = _axis(up, "up"), _axis(front, "front")
     if y @ z != 0.0:
-        raise UserError(f"scan axes: up={up} and front={front} are the same axis; set both, to two different axes")
+        raise UserError(
+            f"scenario.up={up}, scenario.front={front}: these are one axis; set both, to two different axes"
+        )
     return vertices @ np.stack([np.cross(y, z), y, z]).T
 
 

@@ -127,7 +127,9 @@ def _load(path: Path, what: str) -> NDArray:
         if name is None:
             raise UserError("it holds no array")
         if len(names) > 1 and name != what:
-            raise UserError(f"it holds {len(names)} arrays, but none named '{what}': {_listed(names)}")
+            raise UserError(
+                f"it holds {len(names)} arrays, but none named '{what}': {_listed(names)}; rename the one to use"
+            )
         with archive.open(names[name]) as file:
             return np.lib.format.read_array(file, allow_pickle=False)
 
