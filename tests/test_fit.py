@@ -383,8 +383,8 @@ def test_a_fit_can_be_stopped_from_outside(scan: Scenario) -> None:
         ({"within": float("nan")}, "within=nan"),
         ({"smoothness": 1.0}, "fixed target"),
         ({"parents": 101}, "parents must be between"),
-        ({"generators": []}, "as many generators"),
-        ({"manipulation": ["direct", "direct"]}, "as many generators and manipulations"),
+        ({"generators": []}, "one generator and one manipulation each, not 0 and 1"),
+        ({"manipulation": ["direct", "direct"]}, "one generator and one manipulation each, not 1 and 2"),
         ({"centers": torch.zeros(1, 4, 3)}, r"must have shape \[B, m, 2\]"),
     ],
 )
@@ -533,7 +533,7 @@ def test_a_run_that_cannot_be_rebuilt(
     config = run / ".hydra" / "config.yaml"
     honest = config.read_text()
     for wrong, message in (
-        (honest.replace("reject: boundary", "reject: none"), "has the scan changed?"),
+        (honest.replace("reject: boundary", "reject: none"), "(was a file of the scenario replaced?)"),
         (honest.replace("subdivisions: 2", "subdivisions: 1"), "other vertices now"),
         (honest.replace("subdivisions: 2", "subdivisions: 77"), "1 to 8"),
         (honest.replace("support: 1.0", "support: 0.4"), "support is 1.0 in summary.json and 0.4 in"),

@@ -443,7 +443,7 @@ def test_only_its_own_pictures_in_the_run_are_replaced(a_copy, drawn, capsys, tm
         (["--compare", "index:99"], "--compare: pick=index:99: there is no such row; choose one from 0 to 23"),
         (["--colour", "red"], "invalid choice: 'red'"),
         (["--shape", "round"], "invalid choice: 'round'"),
-        (["--out", "a.jpg"], "--out a.jpg: a picture is a .png"),
+        (["--out", "a.jpg"], "--out a.jpg: give a .png file"),
         (["--colours", "left"], "unrecognized arguments"),
     ],
 )

@@ -66,7 +66,7 @@ def rebuild(run: Path, record: Record) -> Source:
         now, then = getattr(scenario, name).numpy(), getattr(record, name)
         if now.shape != then.shape or not np.allclose(now, then, rtol=0.0, atol=SAME):
             raise UserError(
-                f"{run}: the scenario's {name} have changed since this run scored its setups "
+                f"{run}: {name} of the scenario changed since this run scored its setups "
                 "(was a file of the scenario replaced?); start a new run"
             )
     return Source(scenario, kernel, settings.manipulation)
