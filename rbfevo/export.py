@@ -14,10 +14,11 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.commands import parsers
+from rbfevo.commands.center_rows import MOVED
 from rbfevo.errors import UserError
 from rbfevo.files import csv_text, npz, refuse_held, write_whole
 from rbfevo.geometry.lengths import number_or_percentage
-from rbfevo.recorded.moves import Move, places_of, spatial, wanted_move
+from rbfevo.recorded.moves import RULES, Move, places_of, spatial, wanted_move
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import Setup, setup
@@ -30,10 +31,12 @@ STEP = 0.05  # of the diagonal of the template's bounding box
 DESCRIPTION = """Write one setup of a run (control points and what they can do) for other programs.
 
 centers.csv        the control points;  centers.vtp, template.vtp: the same and the mesh, for ParaView
-displacements.csv  how far to move each control point: edit it, then deform any mesh with python -m rbfevo.apply
+displacements.csv  how far to move each control point: edit it, then deform any mesh with python -m rbfevo.apply; in
+                   runs with held regions moved_x, moved_y, moved_z say how far it really moves
 weights.csv        the RBF weights that do the same: displacement = sum over centers.csv of times * weight * phi; in
                    mirrored rows, the component across the symmetry plane changes its sign
-setup.npz          arrays for your own optimizer: X' = X + U P
+setup.npz          arrays for your own optimizer: X' = X + U P, and Q and T of U = Q T: with parameters q = T p steps
+                   are taken in Q, whose columns are orthonormal (R = 1)
 parameters.prm     control points for PyGeM"""
 
 
@@ -47,6 +50,13 @@ def parser() -> parsers.Parser:
         default=STEP,
         help="for runs with a sensitivity, which gives a direction but no length: the largest displacement of a "
         f"vertex, as a fraction of the mesh's diagonal or a percentage (default: {STEP:g}, which is {100 * STEP:g}%%)",
+    )
+    made.add_argument(
+        "--rule",
+        choices=RULES,
+        help="for runs with a sensitivity: how the step is chosen. max-norm (default): what gains most for the largest "
+        "displacement of a vertex; natural: the projection of the (smoothed) sensitivity on the columns; steepest: "
+        "steepest descent in the parameters of the run's manipulation",
     )
     made.add_argument("--quiet", action="store_true", help="print nothing")
     return made
@@ -85,7 +95,11 @@ def carry_out(options: argparse.Namespace) -> None:
     out = options.out or options.run / f"export-{options.pick.strip().replace(':', '-')}"
     refuse_held(out, FILES, "--out")
     chosen = setup(record, row)
-    move = wanted_move(record, chosen, options.step)
+    move = wanted_move(record, chosen, options.step, options.rule or RULES[0])
+    if options.rule is not None and not move.direction:
+        raise UserError(
+            f"--rule {options.rule}: {options.run} has a target, which is approximated; rules are for sensitivities"
+        )
     contents, left_out = file_contents(record, chosen, move)
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -119,7 +133,11 @@ def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, 
         if chosen.manipulation == "direct":
             left_out["U in setup.npz"] = reason
     else:
-        contents["displacements.csv"] = _numbered(["dx", "dy", "dz"], places, spatial(move.centers))
+        names, columns = ["dx", "dy", "dz"], spatial(move.centers)
+        if chosen.hold is not None:
+            names = [*names, *MOVED]
+            columns = np.hstack([columns, spatial(chosen.blend(chosen.centers) * move.centers)])
+        contents["displacements.csv"] = _numbered(names, places, columns)
         from rbfevo.commands import pygem
 
         try:
@@ -160,12 +178,28 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
     if chosen.genotype is not None:
         arrays["genotype"] = chosen.genotype
     for name, across in [("U", False), ("U_across", True)][: 2 if crosses else 1]:
-        U = chosen.columns(record.vertices, across)
+        U = chosen.blended(record.vertices, across)
         U = U[:, chosen.off_plane] if across else U
-        arrays[name] = np.linalg.solve(chosen.psi(across).T, U.T).T if direct and U.size else U
+        U = np.linalg.solve(chosen.psi(across).T, U.T).T if direct and U.size else U
+        Q, T = orthonormal(U, record.weights)
+        arrays |= {name: U, name.replace("U", "Q"): Q, name.replace("U", "T"): T}
+    if chosen.hold is not None and record.blend is not None:
+        arrays |= {"blend": record.blend, "held": chosen.hold.points, "hold_width": np.array(chosen.hold.width)}
     if crosses:
         arrays["across"] = chosen.off_plane
     return arrays
+
+
+def orthonormal(U: Array, weights: Array) -> tuple[Array, Array]:
+    """Q [n, m] and upper triangular T [m, m] of U = Q T with Q^T M Q = I, M the vertex weights [n] of the run.
+
+    With parameters q = T p the columns are those of Q, whose regularity is 1 (Richter et al., GECCO 2018). The
+    diagonal of T is not negative.
+    """
+    root = np.sqrt(weights)[:, None]
+    Q, T = np.linalg.qr(root * U)
+    signs = np.where(np.diag(T) < 0, -1.0, 1.0)
+    return Q * signs / root, signs[:, None] * T
 
 
 def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
@@ -178,7 +212,7 @@ def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
         "center": physical.column.astype(np.int64),
         "mirrored": physical.mirrored.astype(np.uint8),
         "times": (1 + chosen.on_plane[physical.column]).astype(np.uint8),
-        "displacement": spatial(chosen.with_images(move.centers)),
+        "displacement": spatial(chosen.with_images(chosen.blend(chosen.centers) * move.centers)),
     }
     if chosen.support is not None:
         arrays["support"] = np.full(len(physical.points), chosen.support)
@@ -200,7 +234,7 @@ def closing(
 ) -> list[str]:
     """The lines on the screen."""
     wanted, reached = (float(np.linalg.norm(field, axis=1).max()) for field in (move.wanted, move.reached))
-    mirror = chosen.mirror
+    mirror, rule = chosen.mirror, f"{options.rule or RULES[0]} step"
     mirrored = "" if mirror is None else f", mirrored at {'xyz'[mirror.axis]} = {mirror.at:g}"
     size = (
         f"scaled to --step {options.step:g} of the mesh's diagonal: a sensitivity gives no length"
@@ -211,8 +245,9 @@ def closing(
         f"{options.pick.strip()}: row {chosen.row} of {options.run} ({record.method[chosen.row]}): "
         f"R = {chosen.regularity:.4g}, P = {chosen.improvement_potential:.4f}",
         f"{len(chosen.centers)} centers{mirrored}: {record.title}",
-        f"best approximation: a vertex moves by at most {reached:.4g}"
+        f"{rule if move.direction else 'best approximation'}: a vertex moves by at most {reached:.4g}"
         + (f" ({size})" if size else f" (wanted: at most {wanted:.4g})"),
+        *([] if move.change is None else [f"predicted change of the objective: {move.change:+.4g} (to first order)"]),
         *_fixed(record, move),
         f"files: {out}: {', '.join(name for name in FILES if name in written or name.endswith('.vtp'))}",
     ]

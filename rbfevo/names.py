@@ -30,9 +30,9 @@ from omegaconf.errors import OmegaConfBaseException
 from rbfevo.errors import UserError
 
 DIRECTORIES = ("hydra.run.dir", "hydra.sweep.dir")
-LISTED = "scenario.fixed"  # a name, or the six numbers of a box
+LISTED = ("scenario.fixed", "scenario.hold")  # a name, the six numbers of a box, or a list of patches
 FILES = ("template", "target", "scan")  # keys of a scenario that name a file
-MAYBE_FILES = (*FILES, "sensitivity", "fixed")  # the last two may also name an array of the template
+MAYBE_FILES = (*FILES, "sensitivity", "fixed", "hold")  # the last three may also name an array of the template
 KEYS = (*DIRECTORIES, *(f"scenario.{name}" for name in MAYBE_FILES))
 SWEEP = ("-m", "--multirun")
 MISSING = "???"  # what stands for a missing value, to OmegaConf
@@ -110,7 +110,7 @@ def existing_home(path: str | Path) -> Path:
 def _written(key: str, value: str, roots: Collection[str]) -> str:
     """A value of a path as Hydra reads it."""
     bare = _QUOTED.fullmatch(value) is None
-    if bare and (not value or value.lower() == "null" or (key == LISTED and value[0] == "[" and value[-1] == "]")):
+    if bare and (not value or value.lower() == "null" or (key in LISTED and value[0] == "[" and value[-1] == "]")):
         return value
     text = _escaped(_unquoted(value), roots)
     if key in DIRECTORIES:
@@ -130,7 +130,7 @@ def _parts(key: str, value: str, roots: Collection[str]) -> list[str]:
         elif reference is not None and _meant(reference, roots):
             i = max(value.find("}", i), reference.end() - 1) + 1
         else:
-            if key == LISTED:
+            if key in LISTED:
                 depth += (value[i] == "[") - (value[i] == "]")
             if value[i] == "," and depth == 0:
                 ends.append(i)

@@ -14,6 +14,7 @@ from rbfevo.meshes.text_table import read_table
 
 _SAME = 1e-6  # of the largest coordinate: spreadsheets round
 LETTERS = {"displacements": "d", "weights": "w"}
+MOVED = ("moved_x", "moved_y", "moved_z")  # how far centers really move where regions are held: not read back
 
 
 def read_rows(path: Path, what: str, centers: Array, heights: bool) -> Array:
@@ -68,7 +69,7 @@ def _csv(content: bytes, what: str) -> Array:
 
 def _ordered(rows: Array, header: list[str], what: str) -> Array:
     """Columns by the names of a header, rows by its column `center`."""
-    names = [name for name in header if name != "center"]
+    names = [name for name in header if name != "center" and name not in MOVED]
     other = next(name for name in LETTERS if name != what)
     if names and all(name in [LETTERS[other] + axis for axis in "xyz"] for name in names):
         raise UserError(f"it holds {other}, as its header says ({', '.join(names)}): give it with --{other}")

@@ -16,9 +16,11 @@ def parameters(setup: Setup, displacements: Array) -> bytes:
     """The file for displacements [m, 3] of the centers of a setup in space; images are control points of their own.
 
     Raises:
-        UserError: for a kernel that PyGeM does not have, or if the control points do not determine PyGeM's linear
+        UserError: for a kernel that PyGeM does not have, for held regions, or if the control points do not determine PyGeM's linear
             polynomial.
     """
+    if setup.hold is not None:
+        raise UserError("PyGeM has no held regions; deform meshes with python -m rbfevo.apply")
     original = setup.centers_and_images().points
     if original.shape[1] < 3 or np.linalg.matrix_rank(original - original.mean(axis=0)) < 3:
         raise UserError("PyGeM adds a linear polynomial in x, y and z, which points in one plane do not determine")

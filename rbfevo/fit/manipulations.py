@@ -59,6 +59,7 @@ def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulatio
     m, root = len(centers), scenario.weights.sqrt()[:, None]
     representation = RBF(kernel)
     Phi = representation.phi(scenario.vertices, centers)
+    Phi = Phi if scenario.blend is None else scenario.blend[:, None] * Phi
     if not bool(centers.isfinite().all() and Phi.isfinite().all()):
         raise UserError("the setup has centers that are not finite: choose another setup")
     regularity, potential, variability = evolvability(Phi, scenario.gradient, scenario.weights)

@@ -33,6 +33,7 @@ def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summar
     displacement = found.U @ fit.parameters
     weights = found.weights(fit.parameters)
     deformed = moved(scenario.vertices, displacement)
+    blend = 1.0 if scenario.hold is None else torch.from_numpy(scenario.hold(centers.numpy()))[:, None]
     local_error = residuals(scenario, displacement).norm(dim=1).numpy()
     arrays = {
         "centers": centers.numpy(),
@@ -41,7 +42,7 @@ def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summar
         "weights": weights.numpy(),
         "deformed": deformed,
         "local_error": local_error,
-        "moved_centers": moved(centers, RBF(source.kernel).psi(centers) @ weights),
+        "moved_centers": moved(centers, blend * (RBF(source.kernel).psi(centers) @ weights)),
     }
     lines = zip(range(len(fit.errors)), fit.errors.tolist(), fit.steps.tolist(), strict=True)
     try:

@@ -15,10 +15,11 @@ class VertexBlocks:
 
     Attributes:
         X: [d, n] coordinates, contiguous per axis.
-        W: [n] square roots of the weights.
-        g: [k, n] gradient times W.
+        W: [n] square roots of the weights, times the blend where there is one: what rows of Phi are multiplied by.
+        g: [k, n] gradient times the square roots of the weights.
         starts: [blocks + 1] int64: block i holds the columns starts[i] to starts[i + 1].
         low, high: [blocks, d] bounding boxes.
+        order: [n] which vertex each column is.
     """
 
     X: Tensor
@@ -27,12 +28,15 @@ class VertexBlocks:
     starts: Tensor
     low: Tensor
     high: Tensor
+    order: Tensor
 
     def __len__(self) -> int:
         return self.starts.shape[0] - 1
 
 
-def vertex_blocks(vertices: Tensor, gradient: Tensor, weights: Tensor, size: int) -> VertexBlocks:
+def vertex_blocks(
+    vertices: Tensor, gradient: Tensor, weights: Tensor, size: int, blend: Tensor | None = None
+) -> VertexBlocks:
     """Cut vertices [n, d] into blocks of at most `size` by halving the longest axis; all but one block are full."""
     points = vertices.detach().cpu().numpy()
     parts: list[np.ndarray] = []
@@ -52,9 +56,10 @@ def vertex_blocks(vertices: Tensor, gradient: Tensor, weights: Tensor, size: int
     roots = weights.sqrt()[order]
     return VertexBlocks(
         X=vertices[order].T.contiguous(),
-        W=roots.contiguous(),
+        W=(roots if blend is None else roots * blend[order]).contiguous(),
         g=(gradient[order] * roots[:, None]).T.contiguous(),
         starts=torch.from_numpy(starts),
         low=torch.from_numpy(np.stack([points[part].min(0) for part in parts])),
         high=torch.from_numpy(np.stack([points[part].max(0) for part in parts])),
+        order=order,
     )

@@ -60,14 +60,30 @@ def surface_of(mesh: Mesh, patches: Sequence[str] | None = None) -> Surface:
     return Surface(cells.surface(mesh.points, outer).triangles, None, notes)
 
 
-def _patch(mesh: Mesh, name: str) -> Ints:
+def patch_points(mesh: Mesh, patches: Sequence[str], setting: str) -> Ints:
+    """The points [h] of the cells of some patches, ascending.
+
+    Args:
+        patches: names of patches of the mesh; setting: the key that names them, for messages.
+
+    Raises:
+        UserError: if there is no such patch.
+    """
+    chosen = np.unique(np.concatenate([_patch(mesh, name, setting) for name in patches]))
+    starts = np.cumsum(mesh.cells.sizes) - mesh.cells.sizes
+    each = mesh.cells.sizes[chosen]
+    place = np.repeat(starts[chosen] - (np.cumsum(each) - each), each) + np.arange(int(each.sum()))
+    return np.unique(mesh.cells.corners[place])
+
+
+def _patch(mesh: Mesh, name: str, setting: str = "scenario.patches") -> Ints:
     if name in mesh.patches:
         return mesh.patches[name]
     if not mesh.patches:
-        raise UserError(f"scenario.patches={name}: the file names no patches")
+        raise UserError(f"{setting}={name}: the file names no patches")
     close = difflib.get_close_matches(name, mesh.patches, n=1)
     hint = f" (did you mean '{close[0]}'?)" if close else ""
-    raise UserError(f"scenario.patches={name}: there is no such patch{hint}; there are {shown(mesh.patches)}")
+    raise UserError(f"{setting}={name}: there is no such patch{hint}; there are {shown(mesh.patches)}")
 
 
 def shown(names: Sequence[str] | dict[str, Ints]) -> str:

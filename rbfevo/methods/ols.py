@@ -299,14 +299,14 @@ class OlsHeuristic(Heuristic):
     def place(self, problem: Problem) -> Tensor:
         """[1, m, d]."""
         design = problem.scenario.half()
-        atoms = problem.representation.atoms(design.vertices)
+        atoms, blend = problem.representation.atoms(design.vertices), design.blend
         if atoms is None:
             raise UserError(
                 f"method={self.name} places centers one by one, and "
                 f"representation={problem.representation.name} has none"
             )
         centers = ols(
-            atoms,
+            atoms if blend is None else lambda candidates: blend[:, None] * atoms(candidates),
             self._candidates(problem),
             design.gradient,
             problem.centers,

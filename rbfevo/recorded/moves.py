@@ -1,22 +1,32 @@
-"""The best approximation of a run's wanted displacement by one setup."""
+"""What a setup makes of the displacement that its run wants: the best approximation of it, or a first step downhill."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 
 from rbfevo.arrays import Array
+from rbfevo.errors import UserError
+from rbfevo.geometry import sobolev
 from rbfevo.recorded.record import Record
-from rbfevo.recorded.setup import Setup
+from rbfevo.recorded.setup import EPS, Setup
+from rbfevo.scoring.maxnorm import Block, best_displacement
+
+RULES = ("max-norm", "natural", "steepest")
+NORM = 16.0  # of the rule max-norm: near enough to the maximum, and smooth
 
 
 class Move(NamedTuple):
-    """The wanted displacement and its best approximation by a setup, k components.
+    """What the setup makes of the wanted displacement, k components.
 
     Attributes:
-        wanted, reached: [n, k] at the vertices; weights: [m, k]; centers: [m, k] displacements of the centers.
+        wanted, reached: [n, k] at the vertices; weights: [m, k]; centers: [m, k] parameters of direct manipulation, the
+            displacements of the centers but for the blend of held regions.
         direction: whether only the direction was given, so that the size is that of `--step`.
+        change: the predicted change of the objective, in its unit, to first order; None of a target, or where the size
+            of the sensitivity is not known.
     """
 
     wanted: Array
@@ -24,27 +34,127 @@ class Move(NamedTuple):
     weights: Array
     centers: Array
     direction: bool
+    change: float | None = None
 
 
-def wanted_move(record: Record, chosen: Setup, step: float) -> Move:
-    """The least-squares best approximation of the wanted displacement.
+def wanted_move(record: Record, chosen: Setup, step: float, rule: str = RULES[0]) -> Move:
+    """The best approximation of a wanted displacement; of a sensitivity, a step by a rule.
 
-    Where only a direction is known it is scaled until a vertex moves by `step` times the diagonal of the template's
-    bounding box, and none moves farther.
+    Args:
+        step: of a sensitivity, how far the vertex that moves most moves, in diagonals of the template's bounding box.
+        rule: how a step is chosen, one of `RULES`; all of them go downhill of the linear objective s.U q, s the
+            sensitivity of a vertex:
+            `max-norm`: what gains most for its largest displacement, argmax -s.U q / |U q|_16;
+            `natural`: q = -(U^T (M + l^2 K) U)^-1 U^T s, with the vertices' areas M, the stiffness K of the surface
+            and the smoothing length l of the run (without one, l = 0: the least-squares projection);
+            `steepest`: q = -U^T s in the parameters of the run's manipulation.
+
+    Raises:
+        UserError: for another rule, or where a rule does not work for this setup.
     """
-    direction = record.summary.get("gradient_is") == "direction" or record.gradient_norm is None
-    scale, weights = record.gradient_norm or 1.0, chosen.best(record)
-    wanted, reached = record.gradient * scale, chosen.displacement(record.vertices, weights)
-    if direction:
-        farthest = float(np.linalg.norm(reached, axis=1).max())
-        farthest = farthest if farthest > 1e-9 * np.linalg.norm(wanted, axis=1).max() else 0.0
-        diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
-        factor = step * diagonal / (farthest or float(np.linalg.norm(wanted, axis=1).max()) or 1.0)
-        wanted, reached, weights = factor * wanted, factor * reached, factor * weights
-    centers = np.zeros_like(weights) if chosen.kernel is None else chosen.displacement(chosen.centers, weights)
+    if record.summary.get("gradient_is") != "direction" and record.gradient_norm is not None:
+        weights = chosen.best(record)
+        wanted, reached = record.gradient * record.gradient_norm, chosen.displacement(record.vertices, weights)
+        return Move(wanted, reached, weights, _of_centers(chosen, weights), False)
+    weights = _stepped(record, chosen, rule)
+    wanted, reached = record.gradient, chosen.displacement(record.vertices, weights)
+    farthest = float(np.linalg.norm(reached, axis=1).max())
+    gains = float((record.weights[:, None] * record.gradient * reached).sum())
+    if not gains > 1e-18 * float(np.linalg.norm(record.weights[:, None] * record.gradient)) * farthest:
+        weights, reached, farthest = 0.0 * weights, 0.0 * reached, 0.0
+    size = step * float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
+    factor = size / (farthest or 1.0)
+    reached, weights = factor * reached, factor * weights
+    # Of this size, what is left of the wanted displacement is orthogonal to what is reached.
+    matching = float((record.weights[:, None] * reached**2).sum()) / (factor * gains) if farthest else 0.0
+    wanted = wanted * (matching or size / float(np.linalg.norm(wanted, axis=1).max()))
+    return Move(wanted, reached, weights, _of_centers(chosen, weights), True, predicted_change(record, reached))
+
+
+def predicted_change(record: Record, displacement: Array) -> float | None:
+    """The change of the objective that its sensitivities predict for a displacement [n, k], to first order.
+
+    By the sensitivities before smoothing; None where the run did not save their size, or which way is up.
+    """
+    norm, way = record.summary.get("gradient_norm"), {"minimize": -1.0, "maximize": 1.0}
+    sign = way.get(str(record.summary.get("objective")))
+    if sign is None or not isinstance(norm, int | float):
+        return None
+    raw = record.gradient if record.gradient_raw is None else record.gradient_raw
+    return sign * float(norm) * float((record.weights[:, None] * raw * displacement).sum())
+
+
+def _of_centers(chosen: Setup, weights: Array) -> Array:
+    """The parameters [m, k] of direct manipulation that do what weights do."""
+    if chosen.kernel is None:
+        return np.zeros_like(weights)
+    centers = chosen.free_displacement(chosen.centers, weights)
     if chosen.mirror is not None and chosen.crosses(centers.shape[1]):
-        centers[chosen.on_plane, chosen.mirror.axis] = 0.0  # exactly, without rounding errors
-    return Move(wanted, reached, weights, centers, direction)
+        centers[chosen.on_plane, chosen.mirror.axis] = 0.0  # rounding apart it is
+    return centers
+
+
+def _stepped(record: Record, chosen: Setup, rule: str) -> Array:
+    """The weights [m, k] of a step by a rule, of any size."""
+    if rule not in RULES:
+        raise UserError(f"--rule {rule}: choose one of {', '.join(RULES)}")
+    rising = record.weights[:, None] * record.gradient  # -s, but for its size
+    if rule == "steepest":
+        return _steepest(chosen, record, rising)
+    weights = np.zeros((chosen.count, record.gradient.shape[1]))
+    parts = list(_columns(record, chosen))
+    if rule == "natural":
+        area, length = _areas(record), record.summary.get("smooth")
+        stiffness = None
+        if isinstance(length, int | float) and length > 0 and len(record.faces):
+            stiffness = length**2 * sobolev.stiffness(record.vertices, record.faces)
+        for components, columns, U in parts:
+            metric = area[:, None] * U + (0.0 if stiffness is None else stiffness @ U)
+            left, values, _ = np.linalg.svd(U.T @ metric)
+            kept = values > len(values) * EPS * values[0]
+            inverse = (left[:, kept] / values[kept]) @ left[:, kept].T
+            weights[np.ix_(columns, components)] = inverse @ (U.T @ rising[:, components])
+        return weights
+    bases = []
+    for _, _, U in parts:
+        left, values, right = np.linalg.svd(U, full_matrices=False)
+        kept = values > max(U.shape) * EPS * values[0]
+        bases.append((left[:, kept], right[kept].T / values[kept]))
+    blocks = [Block(components, left) for (components, _, _), (left, _) in zip(parts, bases, strict=True)]
+    found = best_displacement(blocks, rising, _areas(record), NORM)
+    for (components, columns, _), (_, back), coordinates in zip(parts, bases, found.coordinates, strict=True):
+        weights[np.ix_(columns, components)] = back @ coordinates
+    return weights
+
+
+def _steepest(chosen: Setup, record: Record, rising: Array) -> Array:
+    weights = np.zeros((chosen.count, rising.shape[1]))
+    for components, columns, U in _columns(record, chosen):
+        pulled = U.T @ rising[:, components]
+        if chosen.manipulation == "direct":  # U = Phi Psi^-1, and what it is pulled by goes through Psi^-1 twice
+            if reason := chosen.immovable(rising.shape[1]):
+                raise UserError(f"--rule steepest: {reason}; choose --rule {RULES[0]} or {RULES[1]}")
+            across = chosen.mirror is not None and chosen.mirror.axis in components and chosen.crosses(rising.shape[1])
+            psi = chosen.psi(across)
+            pulled = np.linalg.solve(psi, np.linalg.solve(psi.T, pulled))
+        weights[np.ix_(columns, components)] = pulled
+    return weights
+
+
+def _columns(record: Record, chosen: Setup) -> Iterator[tuple[Array, Array, Array]]:
+    """Per kind of components of a displacement: which, their columns [r] of U, these times the blend [n, r]."""
+    for components, across, columns in chosen.parities(record.gradient.shape[1]):
+        if len(columns):
+            yield components, columns, chosen.blended(record.vertices, across)[:, columns]
+
+
+def _areas(record: Record) -> Array:
+    """[n] the surface about each vertex, or the run's weights where there are no faces or a vertex has none."""
+    if len(record.faces) and record.vertices.shape[1] == 3:
+        areas = sobolev.mass(record.vertices, record.faces)
+        if (areas > 0).all():
+            return areas
+    return record.weights
 
 
 def places_of(chosen: Setup) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
+from rbfevo.geometry.holding import Hold
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.recorded.record import Record
 from rbfevo.scoring.kernels import Kernel, Wendland, triharmonic
@@ -47,6 +48,7 @@ class Setup:
         manipulation: the run's, `indirect` or `direct`.
         mirror: the symmetry plane, or None.
         on_plane: [m] True for a center on the symmetry plane; all False without one.
+        hold: the blend that multiplies U, or None where nothing is held.
         row: the row of setups.npz; regularity, improvement_potential: its scores.
     """
 
@@ -59,6 +61,7 @@ class Setup:
     regularity: float
     improvement_potential: float
     genotype: Array | None = None
+    hold: Hold | None = None
 
     @property
     def kernel(self) -> Kernel | None:
@@ -92,6 +95,10 @@ class Setup:
         pair = None if self.mirror is None else self.representation.symmetric(self.mirror)
         representation = self.representation if pair is None else pair[1] if across else pair[0]
         return np.asarray(representation.phi(points, self.centers))
+
+    def blended(self, points: Array, across: bool = False) -> Array:
+        """The columns [q, m] at points [q, d] times the blend of what is held: U of indirect manipulation."""
+        return self.blend(points) * self.columns(points, across)
 
     def psi(self, across: bool = False) -> Array:
         """Psi [m, m], the columns at the centers; across the plane [m_off, m_off], of the centers off it."""
@@ -163,8 +170,16 @@ class Setup:
                 weights[cells] = np.linalg.solve(self.psi(across), displacements[cells])
         return weights
 
+    def blend(self, points: Array) -> Array:
+        """What the rows of U at points [q, d] are multiplied by: [q, 1], 0 at held points; ones where none is held."""
+        return np.ones((len(points), 1)) if self.hold is None else self.hold(points)[:, None]
+
     def displacement(self, points: Array, weights: Array, block: int = BLOCK) -> Array:
         """Displacements [q, k] of points [q, d] under weights [m, k], a block of points at a time."""
+        return self.blend(points) * self.free_displacement(points, weights, block)
+
+    def free_displacement(self, points: Array, weights: Array, block: int = BLOCK) -> Array:
+        """Displacements [q, k] of points [q, d] as if nothing were held: at the centers what `weights` takes."""
         moved, block = np.zeros((len(points), weights.shape[1])), self._rows(block)
         for start in range(0, len(points), block):
             rows = slice(start, start + block)
@@ -184,7 +199,7 @@ class Setup:
             triangle = np.empty((0, len(columns) + len(components)))
             for start in range(0, n, block):
                 rows = slice(start, start + block)
-                phi = self.columns(record.vertices[rows], across)[:, columns]
+                phi = self.blended(record.vertices[rows], across)[:, columns]
                 here = np.hstack([phi, record.gradient[rows][:, components]]) * np.sqrt(record.weights[rows, None])
                 triangle = np.asarray(np.linalg.qr(np.vstack([triangle, here]), mode="r"))
             if columns.size:
@@ -244,6 +259,7 @@ def setup(record: Record, row: int) -> Setup:
         row=int(row),
         regularity=float(record.regularity[row]),
         improvement_potential=float(record.improvement_potential[row]),
+        hold=_hold(record, mirror),
         genotype=None if record.genotype is None else np.array(record.genotype[row], dtype=np.float64),
     )
 
@@ -258,6 +274,15 @@ def _representation(record: Record) -> Representation:
     if name == "triharmonic":
         return RBF(triharmonic(record.vertices.shape[1]))
     raise UserError(f"summary.json: kernel={name} with support radius {support} is not known here")
+
+
+def _hold(record: Record, mirror: Mirror | None) -> Hold | None:
+    if record.held is None:
+        return None
+    width = record.summary.get("hold_width")
+    if not isinstance(width, int | float) or not 0 < width < float("inf"):
+        raise UserError(f"summary.json: hold_width={width} is not a positive number, but scenario.npz has held points")
+    return Hold(record.held, float(width), mirror)
 
 
 def _mirror(record: Record) -> Mirror | None:

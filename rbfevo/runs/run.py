@@ -155,7 +155,8 @@ class Run(Parts):
     @functools.cached_property
     def _design(self) -> str:
         """A hash of what is scored, bit for bit."""
-        return digest(self.scenario.vertices, self.scenario.gradient, self.scenario.weights)
+        parts = (self.scenario.vertices, self.scenario.gradient, self.scenario.weights)
+        return digest(*parts, *([] if self.scenario.blend is None else [self.scenario.blend]))
 
     def _refuse_others(self, saved: dict[str, Any]) -> None:
         """Raise UserError if it was saved on another design, or the budgets have changed so that it does not fit."""

@@ -72,6 +72,8 @@ def write_scenario(directory: Path, scenario: Scenario) -> None:
     arrays = {name: getattr(scenario, name).cpu().numpy() for name in names}
     if scenario.stays is not None:
         arrays["stays"] = scenario.stays.cpu().numpy()
+    if scenario.hold is not None and scenario.blend is not None:
+        arrays["blend"], arrays["held"] = scenario.blend.cpu().numpy(), scenario.hold.points
     if scenario.rows is not None:
         arrays["rows"] = scenario.rows.numpy()  # which points of the template's file the vertices are
     write_whole(directory / "scenario.npz", npz(arrays))

@@ -47,6 +47,7 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
         "gradient_norm": run.scenario.gradient_norm if math.isfinite(run.scenario.gradient_norm) else None,
         "gradient_is": "direction" if run.scenario.direction_only else "displacement",
         "symmetry": symmetry,
+        "hold_width": None if run.scenario.hold is None else run.scenario.hold.width,
         "up": run.scenario.up,
         "vertices": len(run.scenario.vertices),
         "search_vertices": len(run.searched.vertices),

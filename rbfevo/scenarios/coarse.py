@@ -30,15 +30,21 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
         return rows.new_zeros(cells, rows.shape[1]).index_add_(0, cell, rows)
 
     roots = blocks.W[:, None]
-    weights = total(roots.square())
+    weights, moments, blend = total(roots.square()), blocks.g.T * roots, None
+    if scenario.blend is not None:
+        # With these, G and b of a column that is constant over a cell are those of the cell's vertices.
+        own = scenario.blend[blocks.order, None]
+        blend = (total((own * roots).square()) / weights).sqrt()
+        moments = moments * own / torch.where(blend > 0, blend, 1.0)[cell]
     return dataclasses.replace(
         scenario,
         vertices=total(blocks.X.T * roots.square()) / weights,
         faces=scenario.faces[:0],
-        gradient=total(blocks.g.T * roots) / weights,
+        gradient=total(moments) / weights,
         weights=weights[:, 0],
         closest=None,
         stays=None,
+        blend=None if blend is None else blend[:, 0],
     )
 
 

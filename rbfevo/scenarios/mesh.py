@@ -42,7 +42,9 @@ def mesh(
     reject: str = "boundary",
     margin: float = 0.05,
     fixed: Any = None,
-    keep_out: bool = False,
+    hold: Any = None,
+    hold_width: Any = "5%",
+    keep_out: bool | None = None,
     weights: str = "uniform",
     symmetry: str | None = None,
     symmetry_at: float | None = None,
@@ -65,8 +67,11 @@ def mesh(
         target_scale: factor by which the target is multiplied; None is 1, but mixed units are refused.
         reject: as for `face`.
         margin: by which the box is larger than the template's on each side, as a fraction of the diagonal.
-        fixed: vertices that should not move, as `fixing.fixing` takes it: their rows of g are 0.
-        keep_out: whether centers may not sit among the fixed vertices.
+        fixed: vertices that should not move, as `fixing.marked` takes it: their rows of g are 0.
+        hold: vertices that cannot move, as `fixing.marked` takes it: U is multiplied by a blend, 0 there, and their
+            rows of g are 0.
+        hold_width: where the blend reaches 1: model units, or a percentage of the box's diagonal.
+        keep_out: whether centers may not sit among the fixed and held vertices; None: only with `hold`.
         weights: `uniform`, each vertex counts the same (the paper), or `area`.
         symmetry: x, y or z: setups stay symmetric about the plane across that axis, at `symmetry_at` or, where that is
             None, in the middle of the template.
@@ -118,16 +123,13 @@ def mesh(
         more = {"sensitivity": _convention(str(sensitivity), values, sensitivity_kind, objective)}
         more["sensitivity rows"] = given.note
     notes |= more
-    region: Region | None = None
-    if fixed is not None:
-        held = fixing.fixing(fixed, read, lower, upper, mirror)
-        stays, wanted = stays | held.fixed, np.where(held.fixed[:, None], 0.0, wanted)
-        region = held.region if keep_out else None
-        notes["fixed"] = held.note + (", and centers are kept out of their region" if keep_out else "")
-    elif keep_out:
-        raise UserError("scenario.keep_out=true needs scenario.fixed, the vertices that centers are kept away from")
+    still = fixing.fixing(fixed, hold, hold_width, keep_out, read, (lower, upper), mirror)
+    stays, wanted = stays | still.stays, np.where(still.stays[:, None], 0.0, wanted)
+    notes |= still.notes
     if not wanted.any():
-        raise UserError(f"{target or sensitivity}: no vertex is left that should move; check scenario.fixed and reject")
+        raise UserError(
+            f"{target or sensitivity}: no vertex is left that should move; check scenario.fixed, hold and reject"
+        )
 
     vertices, faces, mass = (torch.from_numpy(part) for part in (read.vertices, design.triangles, design.mass))
     gradient, norm = unit_gradient(torch.from_numpy(wanted), mass)
@@ -145,7 +147,7 @@ def mesh(
         lower=lower,
         upper=upper,
         support=length("scenario.support", support, float((upper - lower).norm())),
-        sample=_sampler(vertices, _open_faces(vertices, faces, region)),
+        sample=_sampler(vertices, _open_faces(vertices, faces, still.region)),
         gradient_norm=norm,
         notes=notes,
         warnings=warnings,
@@ -153,10 +155,12 @@ def mesh(
         stays=torch.from_numpy(stays),
         direction_only=pairing is None,
         mirror=mirror,
-        keep_out=region,
+        keep_out=still.region,
         search_vertices=search_vertices,
         up=up,
         rows=torch.from_numpy(read.rows),
+        hold=still.hold,
+        blend=None if still.blend is None else torch.from_numpy(still.blend),
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.geometry.holding import Hold
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.parameterization import Parameterization, Region
 
@@ -47,6 +48,8 @@ class Scenario:
         up: the axis that is up in pictures, x, y or z.
         warnings: a line for each reason to doubt the results.
         rows: [n] which points of the template's file the vertices are, or None where there is no file.
+        hold: what makes the blend anywhere in space, or None where nothing is held.
+        blend: [n] from 0 (held) to 1: rows of U, and not of g, are multiplied by it; g is 0 where it is 0. Or None.
     """
 
     name: str
@@ -69,6 +72,8 @@ class Scenario:
     up: str = "y"
     warnings: list[str] = dataclasses.field(default_factory=list)
     rows: Tensor | None = None
+    hold: Hold | None = None
+    blend: Tensor | None = None
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
@@ -78,6 +83,7 @@ class Scenario:
             or self.lower.shape != (d,)
             or self.upper.shape != (d,)
             or (self.stays is not None and self.stays.shape != (n,))
+            or (self.blend is not None and self.blend.shape != (n,))
         ):
             raise UserError(f"scenario {self.name}: vertices, gradient, weights and box have shapes that do not match")
         for name in ("vertices", "gradient", "weights", "lower", "upper"):
@@ -124,14 +130,15 @@ class Scenario:
             kept = height >= -self.mirror.tolerance
         if open_only and self.keep_out is not None:
             kept &= ~self.keep_out.contains(self.vertices)
-        parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in ("vertices", "gradient", "weights")}
+        names = ("vertices", "gradient", "weights", *([] if self.blend is None else ["blend"]))
+        parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
         if not bool((parts["gradient"] != 0).any()):
             return self
         return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None)
 
     def to(self, device: torch.device) -> Scenario:
         """The same scenario with its tensors on `device`."""
-        names = ("vertices", "faces", "gradient", "weights", "lower", "upper", "stays")
+        names = ("vertices", "faces", "gradient", "weights", "lower", "upper", "stays", "blend")
         values = {name: getattr(self, name) for name in names}
         moved: dict[str, Any] = {name: value.to(device) for name, value in values.items() if value is not None}
         return dataclasses.replace(self, **moved)

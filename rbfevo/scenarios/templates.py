@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from rbfevo.arrays import Array, Points, Triangles
 from rbfevo.errors import UserError
 from rbfevo.meshes import cells, opened
 from rbfevo.meshes.mesh import Mesh
-from rbfevo.meshes.surface import Surface
+from rbfevo.meshes.surface import Surface, patch_points
 from rbfevo.names import existing_home
 from rbfevo.scenarios.reading import checked_extent, surface
 
@@ -34,7 +34,8 @@ class Template:
         cell_arrays: numeric arrays of the file's cells by name, [c] or [c, k].
         cell: [f] int64, the cell that each triangle is a part of; -1 on the boundary of a volume.
         numbers: [count] the file's own numbers of its points, where the format has them.
-        patches: the names of the file's patches.
+        patches: the names of the file's patches; patch_points: (setting, names) -> the points [h, 3] of some of them, a
+            UserError that names the setting for a name that there is not.
     """
 
     vertices: Points
@@ -47,6 +48,7 @@ class Template:
     cell: NDArray[np.int64] = dataclasses.field(default_factory=lambda: np.empty(0, np.int64))
     numbers: NDArray[np.int64] | None = None
     patches: tuple[str, ...] = ()
+    patch_points: Callable[[str, Sequence[str]], Points] = lambda setting, names: np.empty((0, 3))
 
 
 def read_template(path: str | Path, patches: Sequence[str] | None = None) -> Template:
@@ -118,6 +120,7 @@ def template_of(path: Path, mesh: Mesh, found: Surface) -> Template:
         cell,
         mesh.numbers,
         tuple(mesh.patches),
+        lambda setting, names: mesh.points[patch_points(mesh, names, setting)],
     )
 
 

@@ -22,12 +22,19 @@ class Deformation(nn.Module):
         vertices: [n, d], model units.
         representation: what makes columns of a setup.
         manipulation: `indirect` or `direct`.
+        blend: [n] what rows of Phi, and so of U, are multiplied by: 0 where a vertex is held; None for ones.
 
     Raises:
         UserError: if the manipulation is unknown, or the representation does not offer it.
     """
 
-    def __init__(self, vertices: Tensor, representation: Representation, manipulation: str = "indirect") -> None:
+    def __init__(
+        self,
+        vertices: Tensor,
+        representation: Representation,
+        manipulation: str = "indirect",
+        blend: Tensor | None = None,
+    ) -> None:
         super().__init__()
         refuse_others("manipulation", manipulation, MANIPULATIONS)
         if manipulation not in representation.manipulations:
@@ -35,13 +42,16 @@ class Deformation(nn.Module):
             raise UserError(f"manipulation={manipulation}: representation={representation.name} offers {offered}")
         self.register_buffer("vertices", vertices)
         self.vertices: Tensor
+        self.register_buffer("blend", blend)
+        self.blend: Tensor | None
         self.kernel: Any = representation.kernel if isinstance(representation, RBF) else None
         self.representation = representation
         self.manipulation = manipulation
 
-    def phi(self, setups: Tensor) -> Tensor:
-        """Phi [*pop, n, r] at the vertices."""
-        return self.representation.phi(self.vertices, setups)
+    def phi(self, setups: Tensor, rows: slice = slice(None)) -> Tensor:
+        """Phi [*pop, n, r] at the vertices, or at some of them, times the blend."""
+        phi = self.representation.phi(self.vertices[rows], setups)
+        return phi if self.blend is None else self.blend[rows, None] * phi
 
     def forward(self, setups: Tensor) -> Tensor:
         """U [*pop, n, m]; setups for which W does not exist come out as NaN instead of raising."""
@@ -64,15 +74,21 @@ class RBFDeformation(Deformation):
         kernel: phi.
         manipulation: `indirect` or `direct`.
         image: what mirror images of the centers add to the columns, where the design is symmetric.
+        blend: as for `Deformation`; Psi is free of it.
 
     Raises:
         UserError: if the manipulation is unknown.
     """
 
     def __init__(
-        self, vertices: Tensor, kernel: Kernel, manipulation: str = "indirect", image: Image | None = None
+        self,
+        vertices: Tensor,
+        kernel: Kernel,
+        manipulation: str = "indirect",
+        image: Image | None = None,
+        blend: Tensor | None = None,
     ) -> None:
-        super().__init__(vertices, RBF(kernel, image), manipulation)
+        super().__init__(vertices, RBF(kernel, image), manipulation, blend)
         self.rbf = RBF(kernel, image)
 
     def psi(self, centers: Tensor) -> Tensor:
@@ -89,10 +105,12 @@ class RBFDeformation(Deformation):
         return solution.mT.reshape(phi.shape)
 
 
-def deformation_of(vertices: Tensor, of: Kernel | Representation, manipulation: str) -> Deformation:
+def deformation_of(
+    vertices: Tensor, of: Kernel | Representation, manipulation: str, blend: Tensor | None = None
+) -> Deformation:
     """The deformation in a representation, or in that by RBFs of a kernel."""
     if isinstance(of, Kernel):
-        return RBFDeformation(vertices, of, manipulation)
+        return RBFDeformation(vertices, of, manipulation, blend=blend)
     if isinstance(of, RBF):
-        return RBFDeformation(vertices, of.kernel, manipulation, of.image)
-    return Deformation(vertices, of, manipulation)
+        return RBFDeformation(vertices, of.kernel, manipulation, of.image, blend)
+    return Deformation(vertices, of, manipulation, blend)

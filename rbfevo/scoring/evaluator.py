@@ -75,6 +75,7 @@ class Evaluator:
         weights: [n] positive, or None for ones.
         backend: `auto`, `fused` or `eager`, see `GramAccumulator`.
         block: vertices a block, or None.
+        blend: [n] what rows of U are multiplied by: 0 where a vertex is held; None for ones.
 
     Attributes:
         evaluations: setups scored so far; failed_evaluations: those with non-finite centers or scores.
@@ -91,12 +92,13 @@ class Evaluator:
         weights: Tensor | None = None,
         backend: str = "auto",
         block: int | None = None,
+        blend: Tensor | None = None,
     ) -> None:
-        self.deformation = deformation_of(vertices, kernel, manipulation)
+        self.deformation = deformation_of(vertices, kernel, manipulation, blend)
         self.representation = self.deformation.representation
         self.gradient = gradient
         self.weights = torch.ones_like(vertices[:, 0]) if weights is None else weights
-        self.gram = GramAccumulator(vertices, gradient, self.weights, self.representation, backend, block)
+        self.gram = GramAccumulator(vertices, gradient, self.weights, self.representation, backend, block, blend)
         self.evaluations = self.failed_evaluations = self.gradients = self.further_passes = self.factorizations = 0
 
     @property
@@ -248,7 +250,7 @@ class Evaluator:
         for e in range(p):  # one at a time: a batch of QR runs no faster and needs p times the memory
             for begin in range(0, n, QR_ROWS):
                 rows = slice(begin, begin + QR_ROWS)
-                Phi = self.representation.phi(vertices[rows], setups[e])
+                Phi = self.deformation.phi(setups[e], rows)
                 block = roots[rows] * torch.cat((Phi, self.gradient[rows]), dim=1)
                 R[e] = torch.linalg.qr(torch.cat((R[e], block)), mode="r")[1]
         left, sigma = left_singular(R[:, :m, :m])

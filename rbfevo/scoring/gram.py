@@ -44,6 +44,7 @@ class GramAccumulator:
 
     Args:
         vertices: [n, d]; gradient: [n, k]; weights: [n] (rows of Phi and g count with sqrt(weights)).
+        blend: [n] what rows of Phi, and not of g, are multiplied by, or None for ones.
         representation: what makes columns of a setup; RBFs of the kernels of `rbfevo.scoring.fused` run there.
         backend: `fused` (numba, CPU), `eager` (plain torch, any device), or `auto`: fused where it can run.
         block: vertices a block, or None for the backend's own choice.
@@ -60,6 +61,7 @@ class GramAccumulator:
         representation: Representation | Kernel,
         backend: str = "auto",
         block: int | None = None,
+        blend: Tensor | None = None,
     ) -> None:
         refuse_others("evaluator", backend, EVALUATORS)
         self.representation = RBF(representation) if isinstance(representation, Kernel) else representation
@@ -75,7 +77,7 @@ class GramAccumulator:
         device = vertices.device
         self.size = block or (FUSED_BLOCK if self.backend == "fused" else EAGER_BLOCK.get(device.type, 1024))
         self._bytes = torch.cuda.mem_get_info(device)[0] // GPU_SHARE if device.type == "cuda" else EAGER_BYTES
-        self.blocks: VertexBlocks = vertex_blocks(vertices, gradient, weights, self.size)
+        self.blocks: VertexBlocks = vertex_blocks(vertices, gradient, weights, self.size, blend)
         with coarse():
             gg = self.blocks.g @ self.blocks.g.T
         self._gg = (gg + gg.T) / 2.0  # to the bit: some processors round the two halves differently

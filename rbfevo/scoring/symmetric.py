@@ -43,6 +43,7 @@ class MirroredEvaluator(Evaluator):
         weights: Tensor | None = None,
         backend: str = "auto",
         block: int | None = None,
+        blend: Tensor | None = None,
         *,
         mirror: Mirror,
     ) -> None:
@@ -58,7 +59,7 @@ class MirroredEvaluator(Evaluator):
         if pair is None:
             raise UserError(f"scenario.symmetry: representation={whole.name} has no symmetric setups")
         self.along, self.across = (
-            Evaluator(vertices, gradient[:, axes], part, manipulation, weights, backend, block)
+            Evaluator(vertices, gradient[:, axes], part, manipulation, weights, backend, block, blend)
             for axes, part in zip((along, across), pair, strict=True)
         )
         self.deformation, self.representation = self.along.deformation, self.along.representation
@@ -211,4 +212,6 @@ def evaluator_of(
 ) -> Evaluator:
     """The evaluator of a scenario's design, of symmetric setups where the scenario is symmetric."""
     design = (scenario.vertices, scenario.gradient, kernel, manipulation, scenario.weights, backend)
-    return Evaluator(*design) if scenario.mirror is None else MirroredEvaluator(*design, mirror=scenario.mirror)
+    if scenario.mirror is None:
+        return Evaluator(*design, blend=scenario.blend)
+    return MirroredEvaluator(*design, blend=scenario.blend, mirror=scenario.mirror)

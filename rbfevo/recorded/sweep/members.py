@@ -137,12 +137,12 @@ def typed(value: Any) -> str:
 
 
 def mesh_of(record: Record) -> str:
-    """A fingerprint of vertices, faces, gradient and weights: eight hexadecimal digits, the same whatever the machine.
+    """A fingerprint of vertices, faces, gradient, weights, blend: eight hexadecimal digits, the same on any machine.
 
     Numbers count to seven digits of the largest of their array, since a norm's last bits depend on the threads.
     """
     digest = hashlib.blake2b(digest_size=4)
-    for array in (record.vertices, record.gradient, record.weights):
+    for array in (record.vertices, record.gradient, record.weights, *([] if record.blend is None else [record.blend])):
         largest = float(np.abs(array).max(initial=0.0))
         digest.update(f"{array.shape} {largest:.6g} ".encode())
         step = largest * DIGITS if 0 < largest < math.inf else 1.0

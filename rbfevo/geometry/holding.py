@@ -1,0 +1,42 @@
+"""Regions that cannot move: a smooth blend of 0 at held points and 1 at some distance from them."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from rbfevo.arrays import Array
+from rbfevo.geometry.mirror import Mirror
+
+
+@dataclasses.dataclass(frozen=True)
+class Hold:
+    """The blend beta of held points: a function of space, 0 at the points and 1 from `width` on, that multiplies U.
+
+    With t the distance to the nearest held point over the width, beta = t^3 (10 - 15 t + 6 t^2), whose first two
+    derivatives vanish at both ends: what a smooth kernel deforms stays smooth but where two held points are equally
+    near.
+
+    Attributes:
+        points: [h, d] held points, model units; width: in model units, positive.
+        mirror: a plane of symmetry, or None: the images of held points are held too.
+    """
+
+    points: Array
+    width: float
+    mirror: Mirror | None = None
+
+    @functools.cached_property
+    def _tree(self) -> KDTree:
+        points = self.points
+        if self.mirror is not None:
+            points = np.concatenate([points, self.mirror.image(points)])
+        return KDTree(points)
+
+    def __call__(self, points: Array) -> Array:
+        """The blend [q] at points [q, d], from 0 to 1, float64."""
+        t = np.minimum(self._tree.query(points)[0] / self.width, 1.0)
+        return t**3 * (10.0 + t * (6.0 * t - 15.0))
