@@ -1,6 +1,6 @@
-"""All figures of one machine in one run: scoring, searches and heuristics beside their floors and peers.
+"""All measurements on one machine in one run: scoring, searches and heuristics, compared with their floors and peers.
 
-A ratio is the median over rounds that take both sides in turn; a target that is missed changes no exit code.
+A ratio is the median over rounds that time both sides in turn; a missed target does not change the exit code.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rbfevo.scoring.threads import coarse
 OUTPUT = Path(__file__).parent / "bench.json"
 QUICK = Path(__file__).parent / "bench-quick.json"  # not committed
 
-Group = Callable[[bool], Iterator[Row]]  # quick? -> its rows, one after the other
+Group = Callable[[bool], Iterator[Row]]  # quick -> rows, yielded as they are measured
 
 GROUPS: dict[str, Group] = {
     "scoring": bench_scoring.scoring,
@@ -38,7 +38,7 @@ GROUPS: dict[str, Group] = {
 
 
 def run(groups: Sequence[str], quick: bool, screen: Screen, output: Path | None) -> list[Row]:
-    """Measure the groups, show every row as it comes, and write all of them to `output` if that is given.
+    """Measure the groups, show every row once it is measured, and write all rows to `output` if it is given.
 
     Raises:
         UserError: if the file cannot be written.
@@ -62,10 +62,12 @@ def run(groups: Sequence[str], quick: bool, screen: Screen, output: Path | None)
 def main(arguments: list[str] | None = None) -> int:
     """Print the table and write the JSON file."""
     parser = argparse.ArgumentParser(prog="scripts/bench", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer rounds, no face where the plane will do: 3 minutes")
-    parser.add_argument("--only", nargs="+", metavar="GROUP", choices=GROUPS, help=f"of {', '.join(GROUPS)}")
-    where = f"{OUTPUT.name} or {QUICK.name} beside this module, none with --only"
-    parser.add_argument("--output", type=Path, help=f"JSON file; {where}")
+    parser.add_argument("--quick", action="store_true", help="fewer rounds, some groups on the plane only: 3 minutes")
+    parser.add_argument(
+        "--only", nargs="+", metavar="GROUP", choices=GROUPS, help=f"only these groups of {', '.join(GROUPS)}"
+    )
+    default = f"{OUTPUT.name}, or {QUICK.name} with --quick, in benchmarks/; none with --only"
+    parser.add_argument("--output", type=Path, help=f"JSON file; default: {default}")
     chosen = parser.parse_args(arguments)
     groups = [name for name in GROUPS if chosen.only is None or name in chosen.only]
     output = chosen.output or (None if chosen.only else QUICK if chosen.quick else OUTPUT)

@@ -1,4 +1,4 @@
-"""What the benchmark measures on: a scenario and a kernel, and random setups for them."""
+"""The cases of the benchmark: a scenario, a kernel, and random setups for them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["CENTERS", "MANIPULATIONS", "Case", "cases", "kernel", "scenario"]
 
 
 class Case(NamedTuple):
-    """One design and one kernel."""
+    """A scenario and a kernel."""
 
     scenario: Scenario
     kernel: Kernel
@@ -38,12 +38,12 @@ class Case(NamedTuple):
         return {2: "r^2 log r", 3: "r^3"}[self.scenario.vertices.shape[1]]
 
     def evaluator(self, manipulation: str) -> Evaluator:
-        """As a run has it."""
+        """The evaluator that a run uses."""
         s = self.scenario
         return Evaluator(s.vertices, s.gradient, self.kernel, manipulation, s.weights)
 
     def population(self, count: int, m: int = CENTERS, seed: int = 0) -> Tensor:
-        """Random setups [count, m, d], as a run's initial population is drawn."""
+        """Random setups [count, m, d], drawn like a run's initial population."""
         device = self.scenario.vertices.device
         return self.scenario.sample(count, m, torch.Generator(device).manual_seed(seed))
 
@@ -55,7 +55,7 @@ def scenario(name: str, resolution: tuple[int, int] = (150, 150)) -> Scenario:
 
 
 def kernel(support: float | None, dimension: int) -> Kernel:
-    """Wendland's, or where there is no support radius the triharmonic one."""
+    """Wendland's kernel, or the triharmonic one if `support` is None."""
     return triharmonic(dimension) if support is None else Wendland(support)
 
 

@@ -16,17 +16,18 @@ BLOCKS = (512, 1024, 2048)
 
 
 class Floor:
-    """Work of one pass over n vertices with m centers and k columns of g, without what is specific to a setup.
+    """The work of one pass over n vertices with m centers and k columns of g, without what depends on the setup.
 
-    Each block [m + k, B] takes the kernel's costliest operation (a logarithm for r^2 log r, else a square root) from a
-    block of fixed numbers, and one product adds it to the Gram matrix. Same threads and same slices as the evaluator.
+    For each block [m + k, B] the kernel's costliest operation (a logarithm for r^2 log r, else a square root) is
+    applied to a block of fixed numbers, and one product adds it to the Gram matrix. Threads and slices are those of the
+    evaluator.
     """
 
     def __init__(self, n: int, m: int, k: int, kernel: Kernel, block: int) -> None:
         self.operation: Callable[..., Tensor] = torch.log if isinstance(kernel, ThinPlate) else torch.sqrt
         self.m, self.rows, self.block = m, m + k, block
         self.sizes = [end - begin for begin, end in itertools.pairwise([*range(0, n, block), n])]
-        self._own = threading.local()  # every thread has its blocks, made once
+        self._own = threading.local()  # each thread allocates its own blocks once
 
     def __call__(self, setups: int) -> None:
         run_in_slices(self._work, setups)
@@ -40,7 +41,7 @@ class Floor:
                 M.addmm_(A, transposed)
 
     def _scratch(self) -> tuple[list[tuple[Tensor, Tensor, Tensor, Tensor]], Tensor]:
-        """(source, where phi goes, block, its transpose) for every block of vertices, and M: all that is ever made."""
+        """(source, target, block, its transpose) for every block of vertices, and M; allocated once per thread."""
         if not hasattr(self._own, "scratch"):
             source = torch.linspace(0.1, 2.0, self.m * self.block, dtype=torch.float64).view(self.m, self.block)
             A = torch.ones(self.rows, self.block, dtype=torch.float64)

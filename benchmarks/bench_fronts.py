@@ -1,4 +1,4 @@
-"""The front by `method=gradient` on the paper's panels, beside NSGA-II's reference fronts."""
+"""The front of `method=gradient` on the paper's panels, compared with NSGA-II's reference fronts."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ SLACK = 1e-6  # of best R and best P
 
 
 def fronts(quick: bool) -> Iterator[Row]:
-    """For each panel seconds, hypervolume, best R and best P; beside the largest reference that is there."""
+    """Seconds, hypervolume, best R and best P of each panel, compared with the reference fronts on disk."""
     for panel in (panel for panel in PANELS if not quick or panel.name == "plane-wendland-0.5-indirect"):
         yield from one_front(panel)
 
 
-def gradient_front(panel: Panel, seed: int, *words: str) -> tuple[Run, Tensor, float]:
-    """The run, the front's objectives [p, 2] by definition, and seconds, final scores included."""
+def gradient_front(panel: Panel, seed: int, *overrides: str) -> tuple[Run, Tensor, float]:
+    """The run, the front's objectives [p, 2] by definition, and its seconds including the final scores."""
     start = time.perf_counter()
-    run = Run(panel.settings("method=gradient", f"seed={seed}", *words))
+    run = Run(panel.settings("method=gradient", f"seed={seed}", *overrides))
     (search,) = run.stages
     search.start(run.problem())
     for _ in range(search.steps):
@@ -36,9 +36,9 @@ def gradient_front(panel: Panel, seed: int, *words: str) -> tuple[Run, Tensor, f
     return run, objectives, time.perf_counter() - start
 
 
-def one_front(panel: Panel, seed: int = 0, *words: str) -> Iterator[Row]:
-    """The rows of one panel; `words` are further settings of the command line."""
-    run, objectives, seconds = gradient_front(panel, seed, *words)
+def one_front(panel: Panel, seed: int = 0, *overrides: str) -> Iterator[Row]:
+    """The rows of one panel; `overrides` are further Hydra overrides."""
+    run, objectives, seconds = gradient_front(panel, seed, *overrides)
     note = f"{run.total('gradients')} gradients"
     yield Row("fronts", panel.name, seconds, "s", **at_most(SECONDS, seconds, " s"), note=note)
     figures = {

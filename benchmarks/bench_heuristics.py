@@ -1,4 +1,4 @@
-"""The heuristics, whole: Lloyd and OLS, beside the minute that the paper reports for each."""
+"""Complete runs of the heuristics Lloyd and OLS, compared with the minute that the paper reports for each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PAPER = 60.0  # seconds
 
 
 def lloyd_row(case: Case, rounds: int, m: int = CENTERS) -> Row:
-    """Ten starts of k-means; a seed a round."""
+    """Ten starts of k-means; every round has its own seed."""
     s, generator = case.scenario, torch.Generator().manual_seed(0)
     (seconds,) = interleaved(
         (timed(lambda: lloyd(s.vertices, m, generator=generator, weights=s.weights)),), rounds, pause=0.0
@@ -38,14 +38,14 @@ def lloyd_row(case: Case, rounds: int, m: int = CENTERS) -> Row:
 
 
 def select(case: Case, m: int = CENTERS, per_axis: int = 30) -> Selection:
-    """The centers that OLS picks, as `rbfevo.methods` asks for them."""
+    """The centers that OLS selects, called as in `rbfevo.methods`."""
     s = case.scenario
     candidates = grid_candidates(s.lower, s.upper, per_axis)
     return ols(kernel_columns(s.vertices, case.kernel), candidates, s.gradient, m, weights=s.weights)
 
 
 def ols_row(case: Case, rounds: int, m: int = CENTERS, per_axis: int = 30) -> Row:
-    """OLS where it is quick and small."""
+    """OLS on the plane, timed in this process."""
     (seconds,) = interleaved((timed(lambda: select(case, m, per_axis)),), rounds, pause=0.0)
     return _ols_row(case, median(seconds), 1.0, m, per_axis)
 
@@ -66,17 +66,17 @@ def _ols_row(case: Case, seconds: float, limit: float, m: int, per_axis: int) ->
 
 
 def ols_alone(support: float | None) -> tuple[float, float]:
-    """Seconds of OLS on the face and peak memory in MB; for a process of its own."""
+    """Seconds of OLS on the face and peak memory in MB; to be called in a child process."""
     case = Case(scenario("face"), kernel(support, 3))
     with coarse():
-        kernel_columns(case.scenario.vertices, case.kernel)(case.scenario.vertices[:2])  # machine code
+        kernel_columns(case.scenario.vertices, case.kernel)(case.scenario.vertices[:2])  # compiles the kernel
         start = time.perf_counter()
         select(case)
         return time.perf_counter() - start, peak_memory()
 
 
 def ols_face_rows(case: Case) -> Iterator[Row]:
-    """OLS with 27,000 candidates, in a child of its own for the peak of its memory."""
+    """OLS with 27,000 candidates, in a child process so that its peak memory can be measured."""
     seconds, peak = in_child(ols_alone, support=case.kernel.support)
     yield _ols_row(case, seconds, 10.0, CENTERS, 30)
     yield Row(

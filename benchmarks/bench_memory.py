@@ -1,4 +1,4 @@
-"""Memory: what scoring many setups adds, and whether a large mesh costs more by the vertex."""
+"""Memory that scoring many setups adds, and whether a large mesh costs more time per vertex."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SUPPORTS = (0.5, None)  # Wendland's kernel and r^2 log r, on the plane
 
 
 def peaks(support: float | None, manipulation: str, setups: int, resolution: list[int]) -> tuple[float, float]:
-    """Peak memory in MB after scoring a few setups of the plane, and after `setups` more; for a process of its own."""
+    """Peak memory in MB after scoring a few setups of the plane and after `setups`; to be called in a child process."""
     case = Case(scenario("plane", (resolution[0], resolution[1])), kernel(support, 2))
     with coarse():
         evaluator, centers = case.evaluator(manipulation), case.population(setups)
@@ -26,7 +26,7 @@ def peaks(support: float | None, manipulation: str, setups: int, resolution: lis
 def memory_row(
     support: float | None, manipulation: str, setups: int = 1000, resolution: tuple[int, int] = (150, 150)
 ) -> Row:
-    """How much scoring raises the peak of a process."""
+    """How much scoring raises the peak memory of a process."""
     before, after = in_child(
         peaks, support=support, manipulation=manipulation, setups=setups, resolution=list(resolution)
     )
@@ -43,7 +43,7 @@ def memory_row(
 
 
 def size_row(support: float | None, rounds: int, large: tuple[int, int] = (1000, 1000), setups: int = 16) -> Row:
-    """Time a setup and vertex on a large plane against the default one, indirect."""
+    """Time per setup and vertex on a large plane over that on the default one, indirect manipulation."""
     tasks, counts = [], []
     for resolution, count in ((large, setups), ((150, 150), 6 * setups)):
         case = Case(scenario("plane", resolution), kernel(support, 2))
@@ -70,7 +70,7 @@ def _scoring(case: Case, count: int) -> Callable[[], object]:
 
 
 def memory(quick: bool) -> Iterator[Row]:
-    """Peak memory of 1,000 setups, and time by the vertex on a million vertices."""
+    """Peak memory of 1,000 setups, and time per vertex on a million vertices."""
     for support in SUPPORTS:
         for manipulation in MANIPULATIONS:
             yield memory_row(support, manipulation)

@@ -1,4 +1,4 @@
-"""The peer of the evaluator: a plain loop in NumPy and SciPy, as one would write it down from the paper."""
+"""The peer of the evaluator: a plain loop in NumPy and SciPy, written directly from the paper."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Array = NDArray[Any]
 
 
 def phi(r: Array, support: float | None, dimension: int) -> Array:
-    """Wendland's C2 function, or r^2 log r on the plane and r^3 in space where there is no support radius."""
+    """Wendland's C2 function, or, if `support` is None, r^2 log r on the plane and r^3 in space."""
     if support is not None:
         q = np.minimum(r / support, 1.0)
         return (1.0 - q) ** 4 * (4.0 * q + 1.0)
@@ -22,10 +22,10 @@ def phi(r: Array, support: float | None, dimension: int) -> Array:
 
 
 def numpy_scores(X: Array, g: Array, centers: Array, support: float | None, manipulation: str) -> Array:
-    """Regularity and improvement potential [p, 2] of setups [p, m, d], one after the other; weights are ones.
+    """Regularity and improvement potential [p, 2] of setups [p, m, d], one after the other; all weights are 1.
 
-    R is the ratio of the singular values of U, P = |left^T g|_F^2 over its left singular vectors that count (paper,
-    eqs. 2 to 8); they span the same space for Phi and for Phi Psi^-1.
+    R is the ratio of the extreme singular values of U, and P = |left^T g|_F^2 over its left singular vectors above the
+    rank cutoff (paper, eqs. 2 to 8); they span the same space for Phi and for Phi Psi^-1.
     """
     scores = np.empty((len(centers), 2))
     for i, C in enumerate(centers):

@@ -1,4 +1,4 @@
-"""What is measured: rows of one table, on the screen as they come and together in one JSON file."""
+"""Measurements as rows of a table: printed once they are measured, and written to one JSON file."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from rich.table import Table
 
 
 class Row(NamedTuple):
-    """One figure beside its floor or peer.
+    """One measurement, compared with its floor or peer.
 
     Attributes:
         group: of rows, as in `--only`.
         name: what was measured.
-        value: the figure, in `unit`; None where it could not be measured, `note` says why.
-        peer: the floor's or the peer's figure in the same unit, `against` says whose.
-        ratio: median over the rounds; which way is said by `target` or `note`.
-        target: the target in words; met: whether it is met, None where there is none.
+        value: the measurement, in `unit`; None if it could not be measured, for the reason in `note`.
+        peer: the measurement of the floor or peer in the same unit; `against` names it.
+        ratio: median over the rounds; `target` or `note` give its direction.
+        target: the target as text; met: whether it is met, None if there is no target.
     """
 
     group: str
@@ -41,17 +41,17 @@ class Row(NamedTuple):
 
 
 def at_most(limit: float, value: float, what: str = "") -> dict[str, Any]:
-    """The fields `target` and `met` of a row whose `value` is to be at most `limit`."""
+    """The fields `target` and `met` of a row whose target is a `value` of at most `limit`."""
     return {"target": f"<= {limit:g}{what}", "met": bool(value <= limit)}
 
 
 def at_least(limit: float, value: float, what: str = "") -> dict[str, Any]:
-    """The fields `target` and `met` of a row whose `value` is to be at least `limit`."""
+    """The fields `target` and `met` of a row whose target is a `value` of at least `limit`."""
     return {"target": f">= {limit:g}{what}", "met": bool(value >= limit)}
 
 
 class Screen:
-    """The table, a line as soon as it is measured. Columns have fixed widths, since later lines are not known yet."""
+    """The printed table. Columns have fixed widths, because each line is printed before the next is measured."""
 
     COLUMNS = (("figure", 46), ("value", 16), ("floor or peer", 38), ("ratio", 7), ("target", 20), ("met", 4))
 
@@ -63,7 +63,7 @@ class Screen:
         self._line(*(f"[bold]{name}" for name, _ in self.COLUMNS), "[bold]note")
 
     def show(self, row: Row) -> None:
-        """Print one row, below its group's name where that is new."""
+        """Print one row, preceded by its group's name if the group changes."""
         if row.group != self._group:
             self._group = row.group
             self.console.print(f"[bold]{row.group}")
@@ -83,12 +83,12 @@ class Screen:
 
 
 def shown(value: float) -> str:
-    """Three significant digits, or all whole ones."""
+    """The value with three significant digits, or rounded to an integer from 1,000 on."""
     return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
 def record(rows: Sequence[Row], groups: Sequence[str], quick: bool, seconds: float, facts: dict[str, Any]) -> bytes:
-    """The JSON file."""
+    """The content of the JSON file."""
     content = {
         "quick": quick,
         "groups": list(groups),
@@ -105,7 +105,7 @@ def record(rows: Sequence[Row], groups: Sequence[str], quick: bool, seconds: flo
 
 
 def machine(threads: int) -> dict[str, Any]:
-    """What the figures depend on: processor, threads and versions; and how busy the machine was at the start."""
+    """What the measurements depend on: processor, threads, versions, and the load of the machine at the start."""
     model = platform.processor() or platform.machine()
     information = Path("/proc/cpuinfo")
     if information.exists():

@@ -1,4 +1,4 @@
-"""Scoring: against a NumPy loop, against the floor, values with gradients, and on a GPU."""
+"""Scoring: compared with a NumPy loop and with the floor, with gradients, and on a GPU."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rbfevo.scoring.kernels import ThinPlate
 
 
 class Search:
-    """NSGA-II on one case from a random population; a generation a call, as in `rbfevo.methods`."""
+    """NSGA-II on one case from a random population; every call is one generation, as in `rbfevo.methods`."""
 
     def __init__(self, case: Case, evaluator: Evaluator, population: int = 100, m: int = CENTERS) -> None:
         s = case.scenario
@@ -40,20 +40,21 @@ class Search:
 
 
 def scoring_row(case: Case, manipulation: str, rounds: int, population: int = 100, m: int = CENTERS) -> Row:
-    """A generation of NSGA-II against the NumPy loop over a few of the same individuals."""
+    """A generation of NSGA-II compared with the NumPy loop over a few of its individuals."""
     search = Search(case, case.evaluator(manipulation), population, m)
     X, g = case.scenario.vertices.numpy(), case.scenario.gradient.numpy()
     few = 3
 
     def loop() -> object:
+        """Score a few individuals with NumPy."""
         return numpy_scores(X, g, search.setups[:few].numpy(), case.kernel.support, manipulation)
 
-    # NumPy's own choice of threads, or one: whichever serves it better here.
+    # NumPy's default number of threads or one thread, whichever is faster here.
     seconds = interleaved((timed(search), timed(loop), one_blas_thread(timed(loop))), rounds)
     threads = fastest(seconds[1:])
     ours, theirs = seconds[0] / population, seconds[1 + threads] / few
     ratio = median(theirs / ours)
-    on_plane = case.scenario.name == "plane"  # the targets are the plane's
+    on_plane = case.scenario.name == "plane"  # targets apply to the plane only
     target = at_least(20 if isinstance(case.kernel, ThinPlate) else 40, ratio) if on_plane else {}
     return Row(
         group="scoring",
@@ -69,7 +70,7 @@ def scoring_row(case: Case, manipulation: str, rounds: int, population: int = 10
 
 
 def floor_rows(case: Case, rounds: int, population: int = 100, m: int = CENTERS) -> Iterator[Row]:
-    """The evaluator alone, both manipulations, against the better of three sizes of the floor's blocks."""
+    """The evaluator alone, both manipulations, compared with the floor at the fastest of three block sizes."""
     (n, k), centers = case.scenario.gradient.shape, case.population(population, m)
     evaluators = [case.evaluator(manipulation) for manipulation in MANIPULATIONS]
     floors = [Floor(n, m, k, case.kernel, block) for block in BLOCKS]
@@ -94,10 +95,11 @@ def floor_rows(case: Case, rounds: int, population: int = 100, m: int = CENTERS)
 
 
 def gradient_row(case: Case, manipulation: str, rounds: int, population: int = 48, m: int = CENTERS) -> Row:
-    """Values and gradients of R + P against the evaluator's scores."""
+    """Values and gradients of R + P compared with the evaluator's scores."""
     evaluator, centers = case.evaluator(manipulation), case.population(population, m)
 
     def with_gradient() -> None:
+        """Score the setups and backpropagate R + P."""
         variable = centers.clone().requires_grad_()
         regularity, potential = differentiable_scores(evaluator, variable)
         (regularity + potential).sum().backward()
@@ -130,7 +132,7 @@ def _places(quick: bool) -> tuple[str, ...]:
 
 
 def scoring(quick: bool) -> Iterator[Row]:
-    """Setups a second in a search, against a NumPy loop."""
+    """Setups per second in a search, compared with a NumPy loop."""
     for place in _places(quick):
         for case in cases(place):
             for manipulation in MANIPULATIONS:
@@ -138,14 +140,14 @@ def scoring(quick: bool) -> Iterator[Row]:
 
 
 def floor(quick: bool) -> Iterator[Row]:
-    """The evaluator against its floor."""
+    """The evaluator compared with its floor."""
     for place in _places(quick):
         for case in cases(place):
             yield from floor_rows(case, 7 if quick else 25)
 
 
 def gradient(quick: bool) -> Iterator[Row]:
-    """Value and gradient against the value alone."""
+    """Value and gradient compared with the value alone."""
     for place in _places(quick):
         for case in cases(place):
             for manipulation in MANIPULATIONS:
@@ -153,7 +155,7 @@ def gradient(quick: bool) -> Iterator[Row]:
 
 
 def cuda(quick: bool) -> Iterator[Row]:
-    """Setups a second on a GPU, where there is one."""
+    """Setups per second on a GPU, if there is one."""
     if not torch.cuda.is_available():
         yield Row("cuda", "setups a second on a GPU", None, "setups/s", note="not measured: no CUDA device")
         return
@@ -164,6 +166,7 @@ def cuda(quick: bool) -> Iterator[Row]:
             evaluator, centers = moved.evaluator(manipulation), case.population(population).to(device)
 
             def work(evaluator: Evaluator = evaluator, centers: Tensor = centers) -> None:
+                """Score the setups and wait for the GPU."""
                 evaluator(centers)
                 torch.cuda.synchronize()
 

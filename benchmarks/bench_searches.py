@@ -1,4 +1,4 @@
-"""The searches' own work, without scoring: NSGA-II against pymoo's, CMA-ES against `cma`'s."""
+"""The overhead of the searches without scoring: NSGA-II compared with pymoo's, CMA-ES with that of `cma`."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from rbfevo.methods.nsga2 import NSGA2
 
 
 def zdt1(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Zitzler, Deb and Thiele's first problem, to be minimized: x [N, D] in [0, 1] -> [N, 2]."""
+    """Zitzler, Deb and Thiele's first problem, a minimization: x [N, D] in [0, 1] -> [N, 2]."""
     g = 1.0 + 9.0 * x[:, 1:].mean(1)
     return np.stack((x[:, 0], g * (1.0 - np.sqrt(x[:, 0] / g))), 1)
 
 
 class OurNSGA2:
-    """One generation of ours a call; returns the seconds of ask and tell alone."""
+    """rbfevo's NSGA-II; every call is one generation and returns the seconds of ask and tell alone."""
 
     def __init__(self, population: int, variables: int) -> None:
         generator = torch.Generator().manual_seed(0)
@@ -45,10 +45,10 @@ class OurNSGA2:
 
 
 class PymooNSGA2:
-    """The same of pymoo, with our operators; like ours it keeps duplicates, which spares it a distance matrix."""
+    """pymoo's NSGA-II with the same operators; like rbfevo's it keeps duplicates, which saves a distance matrix."""
 
     def __init__(self, population: int, variables: int) -> None:
-        # Imported here: the children that other groups start would load it for nothing.
+        # Imported here because the child processes of other groups do not need it.
         from pymoo.algorithms.moo import nsga2 as pymoo
         from pymoo.core.problem import Problem
         from pymoo.core.termination import NoTermination
@@ -79,9 +79,9 @@ class PymooNSGA2:
 
 
 def nsga2_row(rounds: int, population: int = 100, variables: int = 50) -> Row:
-    """NSGA-II's own work in a generation; the rounds are consecutive generations of both."""
+    """NSGA-II's overhead per generation; the rounds are consecutive generations of both."""
     tasks = OurNSGA2(population, variables), PymooNSGA2(population, variables)
-    ours, theirs = interleaved(tasks, rounds, pause=0.0)  # neither leaves threads that spin
+    ours, theirs = interleaved(tasks, rounds, pause=0.0)  # neither leaves spinning threads
     ratio, milliseconds = median(ours / theirs), 1e3 * median(ours)
     return Row(
         group="nsga2",
@@ -98,11 +98,11 @@ def nsga2_row(rounds: int, population: int = 100, variables: int = 50) -> Row:
 
 
 PREFERENCES = 11
-STRETCH = 8  # generations: only every second or fourth decomposes C, so single ones cannot be compared
+STRETCH = 8  # generations per call: only every second or fourth decomposes C, so single ones are not comparable
 
 
 class OurCMAES:
-    """A stretch of generations of all preferences as one batch; returns the seconds of ask and tell, a generation."""
+    """rbfevo's CMA-ES, all preferences as one batch; every call is STRETCH generations and returns seconds for one."""
 
     def __init__(self, variables: int) -> None:
         zeros = torch.zeros(variables, dtype=torch.float64)
@@ -128,10 +128,10 @@ class OurCMAES:
 
 
 class ElevenCmas:
-    """The same of `cma`: eleven bounded strategies, one after the other."""
+    """Eleven bounded strategies of `cma`, one after the other; returns seconds as `OurCMAES` does."""
 
     def __init__(self, variables: int) -> None:
-        import cma  # here for the same reason as pymoo
+        import cma  # imported here for the same reason as pymoo
 
         options = {"popsize": 100, "CMA_mu": 25, "bounds": [0, 1], "verbose": -9}
         self.searches = [
@@ -154,7 +154,7 @@ class ElevenCmas:
 
 
 def cmaes_row(variables: int, rounds: int) -> Row:
-    """CMA-ES's own work in a generation of all preferences."""
+    """CMA-ES's overhead in a generation of all preferences."""
     peers = ElevenCmas(variables), one_blas_thread(ElevenCmas(variables))
     seconds = interleaved((OurCMAES(variables), *peers), rounds)
     threads = fastest(seconds[1:])
@@ -174,11 +174,11 @@ def cmaes_row(variables: int, rounds: int) -> Row:
 
 
 def nsga2(quick: bool) -> Iterator[Row]:
-    """NSGA-II's own work."""
+    """NSGA-II's overhead."""
     yield nsga2_row(100 if quick else 400)
 
 
 def cmaes(quick: bool) -> Iterator[Row]:
-    """CMA-ES's own work."""
+    """CMA-ES's overhead."""
     for variables in (50, 75):
         yield cmaes_row(variables, 3 if quick else 15)

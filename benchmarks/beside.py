@@ -1,8 +1,8 @@
-"""`python -m benchmarks.beside CHECKOUT`: setups a second of this tree beside those of another checkout, in one run.
+"""`python -m benchmarks.beside CHECKOUT`: compares the setups per second of this tree and another checkout.
 
-Both are timed in turns, each round in a process of its own, on as many threads as there are cores: the scores of 200
-setups, and the value and gradient of 72, for each kernel of the plane and the face. Ratios are medians over the rounds,
-above 1 where this tree is faster: by the clock, and by the time that the processors spent, which other programs on the
+The two are timed alternately, each round in a separate process with one thread per core: the scores of 200 setups, and
+the value and gradient of 72, for each kernel on the plane and the face. Ratios are medians over the rounds and above 1
+where this tree is faster. One ratio is of wall-clock time, the other of processor time, which other programs on the
 machine disturb less.
 """
 
@@ -48,7 +48,7 @@ print(json.dumps(found))
 
 
 def timed(tree: Path) -> dict[str, tuple[float, float]]:
-    """Setups a second by the clock and by the processors, of each case in one process that works in `tree`."""
+    """Setups per second of each case, in wall-clock and in processor time, measured in one process in `tree`."""
     settings = os.environ | {"OMP_NUM_THREADS": str(os.cpu_count()), "PYTHONPATH": str(tree)}
     done = subprocess.run([sys.executable, "-c", CODE], cwd=tree, env=settings, capture_output=True, text=True)
     if done.returncode != 0:
@@ -57,16 +57,16 @@ def timed(tree: Path) -> dict[str, tuple[float, float]]:
 
 
 def main() -> None:
-    """Print a line for each case: both rates, and the ratio."""
+    """Print the rates of both checkouts and their ratios, one line per case."""
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.beside", description=(__doc__ or "").partition("\n\n")[2]
     )
     parser.add_argument("checkout", type=Path, help="another checkout of this repository")
-    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--rounds", type=int, default=7, help="default: 7")
     arguments = parser.parse_args()
     other = arguments.checkout.resolve()
     for checkout in (ROOT, other):
-        timed(checkout)  # machine code is compiled
+        timed(checkout)  # compiles the kernels
     rounds = [
         (timed(ROOT), timed(other)) if i % 2 else (timed(other), timed(ROOT))[::-1] for i in range(arguments.rounds)
     ]

@@ -1,11 +1,11 @@
 """The tables of docs/choosing.md: kernels, radii, manipulations, numbers of centers and methods on one car body.
 
     python -m benchmarks.choosing            # half an hour on two cores; finished runs are skipped
-    python -m benchmarks.choosing --page     # writes the tables into docs/choosing.md again
+    python -m benchmarks.choosing --page     # only writes the tables into docs/choosing.md
 
 Every run is a `python -m rbfevo` command on the body of docs/car/body.py with its drag sensitivity; docs/choosing.csv
-holds what came out. `descend` carries an optimization out with setups of these runs: steepest descent on the very
-objective that the sensitivity is of.
+holds the results. `descend` carries out an optimization with setups of these runs: steepest descent on the objective
+whose sensitivity they were searched with.
 """
 
 from __future__ import annotations
@@ -50,26 +50,26 @@ FIELDS = ("table", "case", "manipulation", "seed", "seconds", "hypervolume", "be
 
 
 class Case(NamedTuple):
-    """One run: which table it belongs to, what it is called there, and the words of its command."""
+    """One run: its table, its name in that table, its manipulation, and its further Hydra overrides."""
 
     table: str
     name: str
     manipulation: str
-    words: tuple[str, ...]
+    overrides: tuple[str, ...]
 
 
 def cases() -> Iterator[Case]:
-    """Every run but for its seed."""
+    """All cases; each is run with every seed of SEEDS."""
     for name in KERNELS:
         kernel, _, radius = name.partition(" ")
-        words = (f"kernel={kernel}", *([f"kernel.support={radius}"] if radius else []))
+        overrides = (f"kernel={kernel}", *([f"kernel.support={radius}"] if radius else []))
         for manipulation in ("indirect", "direct"):
-            yield Case("kernels", name, manipulation, (*words, "method=gradient"))
+            yield Case("kernels", name, manipulation, (*overrides, "method=gradient"))
     for count in CENTERS:
         yield Case("centers", str(count), "direct", ("kernel.support=15%", f"centers={count}", "method=gradient"))
     for method, more in METHODS.items():
-        words = ("kernel.support=15%", f"method={method}", *([more] if more else []))
-        yield Case("methods", method, "direct", words)
+        overrides = ("kernel.support=15%", f"method={method}", *([more] if more else []))
+        yield Case("methods", method, "direct", overrides)
 
 
 def body() -> ModuleType:
@@ -83,20 +83,20 @@ def body() -> ModuleType:
 
 
 def carry_out(case: Case, seed: int, template: Path) -> Path:
-    """The run's directory; the run is made unless it is there."""
+    """Carry out the run unless its directory holds it already; return the directory."""
     name = f"{case.table}-{case.name.replace(' ', '-').rstrip('%')}"
     if name == "centers-25":  # the same run
         name = "kernels-wendland-15"
     out = RUNS / f"{name}-{case.manipulation}-{seed}"
     if not (out / "summary.json").exists():
-        words = [*COMMON, f"scenario.template={template}", f"manipulation={case.manipulation}", f"seed={seed}"]
-        if rbfevo([*words, *case.words, f"hydra.run.dir={out}"]):
+        overrides = [*COMMON, f"scenario.template={template}", f"manipulation={case.manipulation}", f"seed={seed}"]
+        if rbfevo([*overrides, *case.overrides, f"hydra.run.dir={out}"]):
             raise SystemExit(f"{out}: the run failed")
     return out
 
 
 def line(case: Case, seed: int, out: Path) -> dict[str, Any]:
-    """One line of choosing.csv, of the method's own rows."""
+    """One line of choosing.csv: the scores of the run's setups by its own method."""
     import torch
 
     from rbfevo.scoring.pareto import hypervolume
@@ -122,20 +122,20 @@ P_WANTED = 0.5
 
 
 def descents(template: Path, run: Path, name: str) -> Iterator[dict[str, Any]]:
-    """What steepest descent makes of the drag with three setups of a run."""
+    """The drop of the drag by steepest descent with three setups of a run."""
     record = read(run)
-    for words in ("best-regularity", "knee", "best-improvement-potential"):
-        row = pick(record, words)
-        yield {"run": name, "pick": words, "R": float(record.regularity[row]),
+    for choice in ("best-regularity", "knee", "best-improvement-potential"):
+        row = pick(record, choice)
+        yield {"run": name, "pick": choice, "R": float(record.regularity[row]),
                "P": float(record.improvement_potential[row]), **descend(template, record, row)}  # fmt: skip
 
 
 def descend(template: Path, record: Record, row: int, steps: int = 30) -> dict[str, float]:
-    """The drop of what is minimized, in percent, after 10 and `steps` steps of steepest descent, and by L-BFGS.
+    """The drop of the objective, in percent, after 10 and `steps` steps of steepest descent, and by L-BFGS.
 
-    What is minimized is J plus MU/2 times the mean squared displacement of the vertices: without it, sharper and
-    sharper spikes would go on lowering an impact drag. The line search halves the step until it descends enough
-    (Armijo), from twice the last.
+    The objective is J plus MU/2 times the mean squared displacement of the vertices: without that term, sharper and
+    sharper spikes would keep lowering an impact drag. The line search starts from twice the last step and halves it
+    until the Armijo condition holds.
     """
     import pyvista as pv
     import torch
@@ -156,53 +156,57 @@ def descend(template: Path, record: Record, row: int, steps: int = 30) -> dict[s
         parts.append((components, torch.from_numpy(U)))
     sizes = [len(components) * U.shape[1] for components, U in parts]
 
-    def moved(p: torch.Tensor) -> torch.Tensor:
+    def displacements(p: torch.Tensor) -> torch.Tensor:
+        """The displacements [n, d] of the vertices by design parameters p."""
         u = torch.zeros_like(vertices)
         for (components, U), piece in zip(parts, p.split(sizes), strict=True):
             u[:, components] = U @ piece.view(U.shape[1], len(components))
         return u
 
-    def value(p: torch.Tensor) -> torch.Tensor:
-        u = moved(p)
-        # Fixed vertices are asked to stay by a hundred times the weight of the others.
+    def objective(p: torch.Tensor) -> torch.Tensor:
+        """J and the penalty, as a scalar tensor."""
+        u = displacements(p)
+        # The displacement of fixed vertices is penalized with a hundred times the weight of the others.
         return car.drag(vertices + u, triangles) + MU / 2 * ((1.0 + 99.0 * (1.0 - free)) * u**2).sum() / len(X)
 
-    def both(flat: np.ndarray) -> tuple[float, np.ndarray]:
+    def value_and_gradient(flat: np.ndarray) -> tuple[float, np.ndarray]:
+        """The objective and its gradient by the design parameters, as SciPy expects them."""
         p = torch.from_numpy(np.array(flat)).requires_grad_()
-        f = value(p)
+        f = objective(p)
         (gradient,) = torch.autograd.grad(f, p)
         return f.item(), gradient.numpy()
 
     p = np.zeros(sum(sizes))
-    start, gradient = both(p)
+    start, gradient = value_and_gradient(p)
     f, step, drops = start, 1.0, []
     for _ in range(steps):
         step *= 2.0
         while True:
-            ahead, new = both(p - step * gradient)
+            ahead, new = value_and_gradient(p - step * gradient)
             if ahead <= f - 1e-4 * step * float(gradient @ gradient) or step < 1e-12:
                 break
             step /= 2.0
         if ahead < f:
             p, f, gradient = p - step * gradient, ahead, new
         drops.append(100.0 * (1.0 - f / start))
-    best = minimize(both, np.zeros_like(p), jac=True, method="L-BFGS-B", options={"maxfun": EVALUATIONS})
+    options = {"maxfun": EVALUATIONS}
+    best = minimize(value_and_gradient, np.zeros_like(p), jac=True, method="L-BFGS-B", options=options)
     return {"after_10": drops[9], "after_30": drops[-1], "optimum": 100.0 * (1.0 - best.fun / start)}
 
 
 EVALUATIONS = 400  # of L-BFGS
-MU = 1000.0  # per square metre: root mean square displacements of a centimetre or two
+MU = 1000.0  # per square metre: gives root mean square displacements of one or two centimetres
 
 
 def markdown(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """A table."""
+    """A Markdown table."""
     head = list(header)
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
 def page(lines: list[dict[str, Any]], fallen: list[dict[str, Any]]) -> None:
-    """Write the tables into docs/choosing.md, each between its marks."""
+    """Write the tables into docs/choosing.md, each between its two markers."""
     text = PAGE.read_text(encoding="utf-8")
     scores = ("hypervolume", "best R", f"best R with P >= {P_WANTED}", "best P")
     tables = {}
@@ -221,8 +225,8 @@ def page(lines: list[dict[str, Any]], fallen: list[dict[str, Any]]) -> None:
     )
     for name, table in tables.items():
         begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        before, _, rest = text.partition(begin)
-        _, _, after = rest.partition(end)
+        before, _, following = text.partition(begin)
+        _, _, after = following.partition(end)
         text = f"{before}{begin}\n{table}\n{end}{after}"
     PAGE.write_text(text, encoding="utf-8")
 
@@ -237,7 +241,7 @@ def _median(group: list[dict[str, Any]], field: str) -> str:
 
 
 def write(path: Path, lines: list[dict[str, Any]]) -> None:
-    """A CSV file of equal dictionaries."""
+    """Write dictionaries with the same keys as a CSV file."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(lines[0]), lineterminator="\n")
         writer.writeheader()
@@ -245,10 +249,10 @@ def write(path: Path, lines: list[dict[str, Any]]) -> None:
 
 
 def main() -> int:
-    """Make the runs that are missing, the descents, and the page."""
+    """Carry out the missing runs and the descents, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--page", action="store_true", help="only write the tables again")
-    parser.add_argument("--only", choices=("kernels", "centers", "methods"), help="one table's runs, and no page")
+    parser.add_argument("--page", action="store_true", help="only write the tables into the page")
+    parser.add_argument("--only", choices=("kernels", "centers", "methods"), help="only the runs of one table, no page")
     options = parser.parse_args()
     fallen_table = TABLE.with_name("choosing-descent.csv")
     if not options.page:

@@ -1,8 +1,8 @@
-"""R and P of a setup at 90 digits, in fixed-point numbers: Python's integers, in units of 2^-BITS.
+"""R and P of a setup at 90 digits, in fixed-point arithmetic: Python integers in units of 2^-BITS.
 
-They are several times as fast as mpmath's numbers, which setups of 200 centers need; tests/test_numbers.py compares
-the two on small ones. Phi is not factored but G = Phi^T Phi = L L^T, which squares the condition number: of 90 digits,
-60 are left at 1e15. The singular values of Phi are those of L, those of U = Phi Psi^-1 are those of Psi^-1 L.
+They are several times as fast as mpmath's numbers, as setups of 200 centers require; tests/test_numbers.py compares
+the two on small setups. The factorization is G = Phi^T Phi = L L^T instead of that of Phi, which squares the condition
+number: of 90 digits, 60 remain at 1e15. Phi has the singular values of L, and U = Phi Psi^-1 those of Psi^-1 L.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from torch import Tensor
 
 from rbfevo.scoring.kernels import Kernel, ThinPlate, Wendland
 
-BITS = 300  # behind the point
-Integers = NDArray[Any]  # of Python's, in units of 2^-BITS
+BITS = 300  # after the binary point
+Integers = NDArray[Any]  # Python integers in units of 2^-BITS
 Point = tuple[int, ...]  # in units of 2^-BITS
 
 
@@ -32,7 +32,7 @@ class Design(NamedTuple):
 
 
 def integer(x: float) -> int:
-    """A float64 number in units of 2^-BITS: exactly, if it is 0 or not below 2^-248."""
+    """A float64 number in units of 2^-BITS; exact for 0 and from 2^-248 on."""
     numerator, denominator = x.as_integer_ratio()
     return (numerator << BITS) // denominator
 
@@ -56,7 +56,7 @@ def phi(kernel: Kernel, a: Point, b: Point) -> int:
 
 @functools.cache
 def column(kernel: Kernel, center: Point, some: Design) -> list[int]:
-    """A column of Phi [n]; setups share most of theirs."""
+    """A column of Phi [n]; cached, since setups share most of their centers."""
     return [phi(kernel, x, center) for x in integers(some.vertices)]
 
 
@@ -67,7 +67,7 @@ def product(kernel: Kernel, a: Point, b: Point, some: Design) -> int:
 
 
 def integers(some: Tensor) -> list[Point]:
-    """Rows of a matrix in units of 2^-BITS."""
+    """The rows of a matrix in units of 2^-BITS."""
     return [tuple(map(integer, row)) for row in some.tolist()]
 
 
@@ -75,8 +75,8 @@ def cholesky(G: Integers) -> Integers:
     """L with G = L L^T."""
     L = np.zeros_like(G)
     for j in range(len(G)):
-        rest = (G[j:, j] << BITS) - L[j:, :j] @ L[j, :j] if j else G[:, 0] << BITS
-        L[j:, j] = rest // math.isqrt(rest[0])
+        reduced = (G[j:, j] << BITS) - L[j:, :j] @ L[j, :j] if j else G[:, 0] << BITS
+        L[j:, j] = reduced // math.isqrt(reduced[0])
     return L
 
 
@@ -104,7 +104,7 @@ def solve(A: Integers, B: Integers) -> Integers | None:
 
 
 def norm(A: Integers) -> Any:
-    """The largest singular value: the Rayleigh quotient at float64's singular vector, whose error it squares."""
+    """The largest singular value: the Rayleigh quotient at the float64 singular vector, which squares its error."""
     size = max(int(abs(A).max()).bit_length() - 900, 0)
     v = np.linalg.svd((A >> size).astype(np.float64))[2][0]
     w = np.array([integer(x) for x in v.tolist()], dtype=object)

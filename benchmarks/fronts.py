@@ -1,7 +1,7 @@
-"""The owner of NSGA-II's reference fronts: computes what is not there yet, goes on where it was stopped.
+"""NSGA-II's reference fronts: computes the missing ones and resumes an interrupted search.
 
-`benchmarks/fronts/PANEL-seedS-E.csv` is the front after E evaluations, `PANEL-seedS.npz` the search's whole state, from
-which a larger budget goes on bit for bit. The search is `python -m rbfevo ... method=nsga2 seed=S`, step for step.
+`benchmarks/fronts/PANEL-seedS-E.csv` is the front after E evaluations. `PANEL-seedS.npz` is the complete state of the
+search, from which a larger budget continues bit for bit. The search is `python -m rbfevo ... method=nsga2 seed=S`.
 """
 
 from __future__ import annotations
@@ -32,27 +32,27 @@ HISTORY = ("generation", "evaluations", "hypervolume", "best_regularity", "best_
 
 
 class Reference:
-    """NSGA-II on one panel, with a state on disk; `words` are further settings of the command line."""
+    """NSGA-II on one panel, with its state on disk; `overrides` are further Hydra overrides."""
 
-    def __init__(self, panel: Panel, seed: int, directory: Path = DIRECTORY, *words: str) -> None:
-        self.panel, self.seed, self.directory, self.words = panel, seed, directory, words
+    def __init__(self, panel: Panel, seed: int, directory: Path = DIRECTORY, *overrides: str) -> None:
+        self.panel, self.seed, self.directory, self.overrides = panel, seed, directory, overrides
         self.path = directory / f"{panel.name}-seed{seed}.npz"
         self.seconds = self.cpu_seconds = 0.0
         self.failed = 0
         self.history: list[tuple[float, ...]] = []
 
     def csv(self, evaluations: int) -> Path:
-        """Where the front after so many evaluations lies."""
+        """The file of the front after this many evaluations."""
         return self.directory / f"{self.panel.name}-seed{self.seed}-{evaluations}.csv"
 
-    def compute(self, generations: int, say: Any = print) -> None:
-        """Run until `generations` are done and write the front; a search on disk is continued."""
+    def compute(self, generations: int, report: Any = print) -> None:
+        """Run up to `generations` and write the front; continues a search whose state is on disk."""
         with coarse() as threads:
-            words = ("method=nsga2", f"method.generations={generations}", f"seed={self.seed}", *self.words)
-            run = Run(self.panel.settings(*words))
+            overrides = ("method=nsga2", f"method.generations={generations}", f"seed={self.seed}", *self.overrides)
+            run = Run(self.panel.settings(*overrides))
             (search,) = run.stages
             if not isinstance(search, Nsga2Search):
-                raise UserError("method=nsga2 is no NSGA-II")
+                raise UserError("method=nsga2 is not NSGA-II")
             search.start(run.problem())
             done = self._load(search)
             evaluations = (done + 1) * search.population
@@ -74,8 +74,8 @@ class Reference:
             self._save(search)
             self._write(search, run, evaluations, threads)
         line = self.history[-1]
-        say(f"{self.panel.name}: hypervolume {line[2]:.6f}, best R {line[3]:.6f}, best P {line[4]:.6f}, "
-            f"{evaluations} evaluations, {self.seconds:.0f} s, {self.cpu_seconds:.0f} s of processor")  # fmt: skip
+        report(f"{self.panel.name}: hypervolume {line[2]:.6f}, best R {line[3]:.6f}, best P {line[4]:.6f}, "
+               f"{evaluations} evaluations, {self.seconds:.0f} s, processor {self.cpu_seconds:.0f} s")  # fmt: skip
 
     def _save(self, search: Nsga2Search) -> None:
         state = search.algorithm.state_dict()
@@ -87,22 +87,22 @@ class Reference:
         storage.write_whole(self.path, storage.npz(arrays))
 
     def population(self, evaluations: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """The population [N, D] after so many evaluations and its objectives [N, 2], as they lie on disk.
+        """The population [N, D] after this many evaluations and its objectives [N, 2], read from disk.
 
         Raises:
-            UserError: if it has not been computed, or the search has gone on since.
+            UserError: if the state is missing, or is that of another number of evaluations.
         """
         if not self.path.exists():
             raise UserError(f"{self.path} is missing: compute it with scripts/fronts {self.panel.name}")
         with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as file:
             population, objectives = torch.from_numpy(file["population"]), torch.from_numpy(file["objectives"])
-            told = int(file["generation"]) * len(population)
-        if told != evaluations:
-            raise UserError(f"{self.path} is at {told} evaluations, not {evaluations}: restore it, or compute it again")
+            stored = int(file["generation"]) * len(population)
+        if stored != evaluations:
+            raise UserError(f"{self.path} has {stored} evaluations, not {evaluations}: restore it, or compute it again")
         return population, objectives
 
     def _load(self, search: Nsga2Search) -> int:
-        """Generations done, 0 where nothing is on disk."""
+        """Load the state from disk and return its number of generations; 0 if there is none."""
         if not self.path.exists():
             return 0
         with np.load(io.BytesIO(self.path.read_bytes()), allow_pickle=False) as file:
@@ -114,10 +114,10 @@ class Reference:
         self.history = [tuple(line) for line in arrays["history"].tolist()]
         self.seconds, self.cpu_seconds, failed = arrays["spent"].tolist()
         self.failed = int(failed)
-        return search.algorithm.generation - 1  # the initial population is the first that is told
+        return search.algorithm.generation - 1  # the algorithm counts the initial population too
 
     def _write(self, search: Nsga2Search, run: Run, evaluations: int, threads: int) -> None:
-        # The scores of the definition, as in a run directory.
+        # Scored by definition, as in a run directory.
         centers = search.rows()[0].centers
         objectives = run.evaluator.definition(centers).objectives
         objectives = objectives[nondominated(objectives)]
@@ -159,11 +159,11 @@ def _header(path: Path) -> int:
 
 
 def main() -> int:
-    """Compute the fronts that are missing."""
+    """Compute the missing fronts."""
     parser = argparse.ArgumentParser(prog="scripts/fronts", description=__doc__)
-    parser.add_argument("panels", nargs="*", help="panels, or parts of their names; all twelve if none is given")
-    parser.add_argument("--generations", type=int, default=2499, help="2499 are 250,000 evaluations (the default)")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("panels", nargs="*", help="panels, or parts of their names; default: all twelve")
+    parser.add_argument("--generations", type=int, default=2499, help="default: 2499, which is 250,000 evaluations")
+    parser.add_argument("--seed", type=int, default=0, help="default: 0")
     arguments = parser.parse_args()
     DIRECTORY.mkdir(exist_ok=True)
     try:

@@ -1,9 +1,9 @@
-"""`python -m benchmarks.kills`: kills every search method at random moments and lets it go on, to the same end.
+"""`python -m benchmarks.kills`: kills every search method at random moments, resumes it, and compares the results.
 
-A run of a method is carried out once without disturbance. Then it is begun again and again, with a checkpoint after
-every generation, killed with SIGKILL at a random moment (of the whole run, writes included), taken up and killed again
-until it gets through. After every kill each file that is there must be whole, and in the end the arrays, the history
-and the counts must be those of the undisturbed run, bit for bit.
+Each method first runs once without interruption. Then it runs again with a checkpoint after every generation, is killed
+with SIGKILL at a random moment (anywhere in the run, file writes included), resumed and killed again until it finishes.
+After every kill all existing files must be intact. At the end the arrays, the history and the counts must be those of
+the uninterrupted run, bit for bit.
 """
 
 from __future__ import annotations
@@ -52,11 +52,14 @@ METHODS: dict[str, tuple[str, ...]] = {
 
 
 class Report(NamedTuple):
-    """What became of one method.
+    """The result for one method.
 
     Attributes:
-        kills: processes killed; before_first: of those before the first checkpoint; while_writing: of those while a
-            file was being written; damaged: times that a file was not whole; different: ends unlike the undisturbed.
+        kills: processes killed.
+        before_first: how many of them before the first checkpoint.
+        while_writing: how many of them while a file was being written.
+        damaged: kills after which a file was damaged.
+        different: finished runs whose results differ from those of the uninterrupted run.
     """
 
     method: str
@@ -67,14 +70,14 @@ class Report(NamedTuple):
     different: int
 
 
-def settings_of(words: tuple[str, ...]) -> Settings:
-    """The settings of a command line."""
+def settings_of(overrides: tuple[str, ...]) -> Settings:
+    """The checked settings of a run with these Hydra overrides."""
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        return check(compose("config", overrides=[*COMMON, *words]))
+        return check(compose("config", overrides=[*COMMON, *overrides]))
 
 
 def apart(work: Callable[[], Any], moment: float | None) -> int | None:
-    """Do some work in a process of its own; kill that at a moment in seconds. Its exit code, None if it was killed."""
+    """Call `work` in a child process, kill it after `moment` seconds; return its exit code, None if it was killed."""
     child = os.fork()
     if child == 0:
         code = 1
@@ -95,7 +98,7 @@ def apart(work: Callable[[], Any], moment: float | None) -> int | None:
 
 
 def damaged(directory: Path) -> list[str]:
-    """The files of a run directory that are there and cannot be read."""
+    """The files of a run directory that cannot be read."""
     wrong = []
     for path in directory.glob("*.*"):
         if path.name.startswith("."):
@@ -115,7 +118,7 @@ def damaged(directory: Path) -> list[str]:
 
 
 def end_of(directory: Path) -> dict[str, Any]:
-    """Arrays, history and counts of a run, without its seconds."""
+    """The arrays, history and counts of a run, without its times."""
     with np.load(directory / "setups.npz") as archive:
         arrays = {name: (archive[name].dtype.str, archive[name].tobytes()) for name in archive.files}
     at = HistoryLine._fields.index("seconds")
@@ -125,19 +128,19 @@ def end_of(directory: Path) -> dict[str, Any]:
     return {"arrays": arrays, "history": [line[:at] + line[at + 1 :] for line in lines], "counts": counts}
 
 
-def torture(name: str, words: tuple[str, ...], kills: int, chance: random.Random) -> Report:
-    """Kill a method so many times.
+def torture(name: str, overrides: tuple[str, ...], kills: int, chance: random.Random) -> Report:
+    """Run and resume a method until it has been killed `kills` times.
 
     Raises:
-        RuntimeError: if a process fails by itself.
+        RuntimeError: if a process fails without being killed.
     """
-    settings = settings_of(words)
+    settings = settings_of(overrides)
     before_first = while_writing = wrong = different = killed = 0
     with tempfile.TemporaryDirectory() as place:
         calm = Path(place) / "calm"
         start = time.monotonic()
         if apart(lambda: carry_out(settings, calm), None) != 0:
-            raise RuntimeError(f"{name}: the undisturbed run failed")
+            raise RuntimeError(f"{name}: the uninterrupted run failed")
         whole, expected, number = time.monotonic() - start, end_of(calm), 0
         while killed < kills:
             number += 1
@@ -147,6 +150,7 @@ def torture(name: str, words: tuple[str, ...], kills: int, chance: random.Random
                 moment = chance.uniform(0, whole) if killed < kills else None
 
                 def work(directory: Path = directory, resume: bool = resume) -> int:
+                    """Start or resume the run."""
                     return carry_out(settings, directory, resume=resume)
 
                 code = apart(work, moment)
@@ -156,22 +160,22 @@ def torture(name: str, words: tuple[str, ...], kills: int, chance: random.Random
                     while_writing += any(directory.glob(".*.????????"))
                     wrong += bool(damaged(directory)) if directory.is_dir() else 0
                 elif code != 0:
-                    raise RuntimeError(f"{name}: it could not go on (exit code {code}) in kill {killed}")
+                    raise RuntimeError(f"{name}: resuming failed (exit code {code}) after kill {killed}")
             different += end_of(directory) != expected
     return Report(name, killed, before_first, while_writing, wrong, different)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Kill all methods, print and write what became of them; 0 if nothing was damaged or different."""
+    """Test all methods, print and write the results; return 0 if nothing was damaged or different."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.kills", description=__doc__)
-    parser.add_argument("--kills", type=int, default=50, help="for each method; 50")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--output", type=Path, default=OUTPUT)
+    parser.add_argument("--kills", type=int, default=50, help="kills of each method; default: 50")
+    parser.add_argument("--seed", type=int, default=0, help="of the random moments; default: 0")
+    parser.add_argument("--output", type=Path, default=OUTPUT, help="CSV file; default: kills.csv in benchmarks/")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
     reports = []
-    for name, words in METHODS.items():
-        reports.append(torture(name, words, options.kills, random.Random(f"{options.seed} {name}")))
+    for name, overrides in METHODS.items():
+        reports.append(torture(name, overrides, options.kills, random.Random(f"{options.seed} {name}")))
         print(reports[-1], flush=True)
     with options.output.open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([Report._fields, *reports])

@@ -1,4 +1,4 @@
-"""Times and memory on a noisy machine: interleaved rounds, medians of ratios, and children for peaks of memory."""
+"""Times and memory on a noisy machine: interleaved rounds, medians of ratios, and child processes for peak memory."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ import numpy as np
 import threadpoolctl
 from numpy.typing import NDArray
 
-Task = Callable[[], float]  # does its work once and returns the seconds that count
+Task = Callable[[], float]  # does its work once and returns the measured seconds
 
-# BLAS threads spin for some tens of milliseconds after their last product: what comes next would pay for them.
+# BLAS threads spin for some tens of milliseconds after their last product and would slow down the next task.
 PAUSE = 0.05
 
 
 def timed(work: Callable[[], object]) -> Task:
-    """The task that does all of `work` and counts all of its time."""
+    """The task that calls `work` and returns its seconds."""
 
     def task() -> float:
+        """Call `work` once and return its seconds."""
         start = time.perf_counter()
         work()
         return time.perf_counter() - start
@@ -33,9 +34,9 @@ def timed(work: Callable[[], object]) -> Task:
 
 
 def interleaved(tasks: Sequence[Task], rounds: int, pause: float = PAUSE) -> NDArray[np.float64]:
-    """Seconds [tasks, rounds]; every round does all tasks, forth and back in turn, after a round that does not count.
+    """Seconds [tasks, rounds]; every round does all tasks, in alternating order, after one warm-up round.
 
-    What a busy machine does to one round it does to all tasks of it, more or less: compare within the rounds.
+    Other load on the machine affects all tasks of a round about equally, so compare them within the rounds.
     """
     seconds = np.empty((len(tasks), rounds + 1))
     for i in range(rounds + 1):
@@ -47,9 +48,10 @@ def interleaved(tasks: Sequence[Task], rounds: int, pause: float = PAUSE) -> NDA
 
 
 def one_blas_thread(task: Task) -> Task:
-    """The same with one thread for BLAS: on a busy machine much faster, since no thread has to wait for another."""
+    """The same task with one BLAS thread: much faster on a busy machine, where threads would wait for each other."""
 
     def limited() -> float:
+        """Do the task with one BLAS thread."""
         with threadpoolctl.threadpool_limits(1, user_api="blas"):
             return task()
 
@@ -57,7 +59,7 @@ def one_blas_thread(task: Task) -> Task:
 
 
 def fastest(seconds: NDArray[np.float64]) -> int:
-    """Which of the tasks [tasks, rounds] has the least median."""
+    """The index of the task with the smallest median; `seconds` is [tasks, rounds]."""
     return int(np.median(seconds, axis=1).argmin())
 
 
@@ -67,10 +69,10 @@ def median(values: NDArray[np.float64]) -> float:
 
 
 def in_child(function: Callable[..., Any], **arguments: Any) -> Any:
-    """Call a module's function in a new process; arguments and result are what JSON can hold.
+    """Call a module's function in a new process; arguments and result must be JSON values.
 
     Raises:
-        subprocess.CalledProcessError: if the child fails; what it says goes to stderr.
+        subprocess.CalledProcessError: if the child fails; its messages go to stderr.
     """
     code = (
         "import importlib, json, sys\n"
@@ -89,8 +91,8 @@ def in_child(function: Callable[..., Any], **arguments: Any) -> Any:
 
 
 def peak_memory() -> float:
-    """Most resident memory that this process has had since it began, in MB (10^6 bytes)."""
-    # ru_maxrss outlives exec on Linux: a child would start with what its parent had.
+    """The peak resident memory of this process in MB (10^6 bytes)."""
+    # ru_maxrss survives exec on Linux: a child would start with its parent's peak.
     status = Path("/proc/self/status")
     if status.exists():
         for line in status.read_text().splitlines():

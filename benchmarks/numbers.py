@@ -1,10 +1,10 @@
-"""The tables of docs/reliability-numbers.md: the error of R and P against many digits, and what units change.
+"""The tables of docs/reliability-numbers.md: the errors of R and P against 90 digits, and the effect of model units.
 
     python -m benchmarks.numbers            # ten minutes on one core
-    python -m benchmarks.numbers --page     # writes the tables into docs/reliability-numbers.md again
+    python -m benchmarks.numbers --page     # only writes the tables into docs/reliability-numbers.md
 
-Every setup is brought to a wanted condition number of Phi by moving two or three of its centers together, then scored
-by the evaluator, by the definition, and at 90 digits (`benchmarks.digits`).
+Two or three centers of every setup are moved together until Phi has a prescribed condition number. The setup is then
+scored by the evaluator, by the definition, and at 90 digits (`benchmarks.digits`).
 benchmarks/numbers.csv holds all scores, benchmarks/numbers-units.csv those of one setup in 13 model units.
 """
 
@@ -42,7 +42,7 @@ VERTICES = 400
 
 
 def points(d: int, count: int, shift: float) -> NDArray[Any]:
-    """Evenly spread points [count, d]: of [0, 1] x [0, 2], or of the unit sphere."""
+    """Evenly spread points [count, d] of [0, 1] x [0, 2] or of the unit sphere."""
     i = np.arange(count) + 0.5
     if d == 2:
         plastic = 1.32471795724474602596
@@ -63,12 +63,12 @@ def design(d: int, count: int = VERTICES) -> Design:
 
 
 def dimension(kernel: Kernel) -> int:
-    """d of the design that the kernel is measured on."""
+    """The dimension d of the design on which the kernel is measured."""
     return 3 if isinstance(kernel, Cubic) else 2
 
 
 def setup(kernel: Kernel, m: int, case: str, h: float = 0.0) -> Tensor | None:
-    """Centers [m, d], the last ones a distance h from the first on either side; None if there are not enough."""
+    """Centers [m, d], the last ones at distance h from the first on either side; None if m is too small."""
     d, moved = dimension(kernel), CASES[case]
     if m <= moved:
         return None
@@ -81,7 +81,7 @@ def setup(kernel: Kernel, m: int, case: str, h: float = 0.0) -> Tensor | None:
 
 
 def conditioned(kernel: Kernel, m: int, case: str, wanted: float) -> Tensor | None:
-    """The setup whose Phi has the wanted condition number, by bisection over h; None if there is none."""
+    """The setup whose Phi has the wanted condition number, by bisection over h; None if no h gives it."""
     deformation = Evaluator(*design(dimension(kernel)), kernel).deformation
     low, high = math.log(1e-16), math.log(0.2)
     C, found = None, math.nan
@@ -100,7 +100,7 @@ def conditioned(kernel: Kernel, m: int, case: str, wanted: float) -> Tensor | No
 
 
 def setups(counts: Iterable[int] = COUNTS) -> Iterator[tuple[str, int, str, str, Tensor]]:
-    """Kernel, m, case, wanted condition number and centers [m, d] of every cell; from m = 100 on not every decade."""
+    """Kernel, m, case, wanted condition number and centers [m, d] of every cell; fewer decades from m = 100 on."""
     for m in counts:
         for name, kernel in KERNELS.items():
             for case in CASES:
@@ -156,30 +156,30 @@ PATHS = ("fast", "definition")
 
 
 def error(line: Line, path: str) -> tuple[float, float]:
-    """|dR| / R and |dP| of a line of numbers.csv; the first is NaN where R is 0, by the cutoffs or truly."""
+    """|dR| / R and |dP| of a line of numbers.csv; the first is NaN where R is exactly 0 or cut off to 0."""
     R, P, found, potential = (float(line[key]) for key in ("R", "P", f"R_{path}", f"P_{path}"))
     return (abs(found - R) / R if R > 0.0 and found > 0.0 else math.nan), abs(potential - P)
 
 
 def within(line: Line, path: str) -> bool:
-    """Whether R is within 1e-6 R + 1e-12 and P within 1e-8 of many digits."""
+    """Whether R is within 1e-6 R + 1e-12 and P within 1e-8 of the scores at 90 digits."""
     R, found = float(line["R"]), float(line[f"R_{path}"])
     return abs(found - R) <= 1e-6 * R + 1e-12 and error(line, path)[1] <= 1e-8
 
 
 def cut(line: Line, path: str) -> bool:
-    """Whether a cutoff sets R to 0 although it is not."""
+    """Whether a cutoff sets a nonzero R to 0."""
     return float(line[f"R_{path}"]) == 0.0 < float(line["R"])
 
 
 def largest(values: Iterable[float]) -> str:
-    """The largest of what is there, shortly."""
+    """The largest of the values that are not NaN, with one digit; empty if there are none."""
     known = [value for value in values if not math.isnan(value)]
     return f"{max(known):.0e}".replace("0e+00", "0").replace("e-0", "e-").replace("e+0", "e") if known else ""
 
 
 def condition(line: Line) -> float:
-    """What errors of R grow with: the condition number of Phi and, for direct, of Psi if that is larger."""
+    """The condition number that the error of R grows with: that of Phi or, for direct, of Psi if it is larger."""
     of_phi, of_psi = float(line["cond_Phi"]), float(line["cond_Psi"])
     return of_phi if line["manipulation"] == "indirect" else max(of_phi, of_psi)
 
@@ -203,7 +203,7 @@ def by_decade(lines: list[Line]) -> str:
 
 
 def growth(lines: list[Line], key: str) -> str:
-    """By a field: the errors over eps times the condition number that they grow with, while R is not cut."""
+    """Errors over eps times the condition number that they grow with, grouped by a field; without cut R."""
     table = []
     for value in dict.fromkeys(line[key] for line in lines):
         row = [value]
@@ -217,7 +217,7 @@ def growth(lines: list[Line], key: str) -> str:
 
 
 def ends(lines: list[Line]) -> str:
-    """By kernel and manipulation: the least condition number of a setup that is not within, and of one that is cut."""
+    """The smallest condition numbers at which scores are not `within` and at which R is `cut`, by kernel."""
     table = []
     for kernel, manipulation in dict.fromkeys((line["kernel"], line["manipulation"]) for line in lines):
         group = [line for line in lines if (line["kernel"], line["manipulation"]) == (kernel, manipulation)]
@@ -231,7 +231,7 @@ def ends(lines: list[Line]) -> str:
 
 
 def duplicates(lines: list[Line]) -> str:
-    """Setups with a center twice: the largest R, and the largest error of P."""
+    """Setups with a duplicate center: the largest R, and the largest error of P."""
     table = []
     for name in KERNELS:
         group = [line for line in lines if (line["kernel"], line["case"]) == (name, "duplicate")]
@@ -242,7 +242,7 @@ def duplicates(lines: list[Line]) -> str:
 
 
 def changes(lines: list[Line]) -> str:
-    """The largest change of R and P over all units, beside those of the unit 1."""
+    """The largest relative change of R and P over all units, compared with unit 1."""
     table = []
     for kernel, manipulation in dict.fromkeys((line["kernel"], line["manipulation"]) for line in lines):
         group = [line for line in lines if (line["kernel"], line["manipulation"]) == (kernel, manipulation)]
@@ -257,7 +257,7 @@ def changes(lines: list[Line]) -> str:
 
 
 def thin_plates(lines: list[Line]) -> str:
-    """R and P of r^2 log r in every unit, by the definition."""
+    """R and P of r^2 log r in every unit, by definition."""
     table = []
     for exponent in dict.fromkeys(line["exponent"] for line in lines):
         row = [f"1e{exponent}"]
@@ -274,7 +274,7 @@ def thin_plates(lines: list[Line]) -> str:
 
 
 def page(lines: list[Line], units: list[Line]) -> None:
-    """Write the tables into docs/reliability-numbers.md, each between its marks."""
+    """Write the tables into docs/reliability-numbers.md, each between its two markers."""
     text = PAGE.read_text(encoding="utf-8")
     indirect, direct = ([line for line in lines if line["manipulation"] == name] for name in MANIPULATIONS)
     tables = {
@@ -289,16 +289,16 @@ def page(lines: list[Line], units: list[Line]) -> None:
     }
     for name, table in tables.items():
         begin, end = f"<!-- {name} -->", f"<!-- end of {name} -->"
-        before, _, rest = text.partition(begin)
-        _, _, after = rest.partition(end)
+        before, _, following = text.partition(begin)
+        _, _, after = following.partition(end)
         text = f"{before}{begin}\n{table}\n{end}{after}"
     PAGE.write_text(text, encoding="utf-8")
 
 
 def main() -> int:
-    """Measure and write the tables, or only write them."""
+    """Measure unless --page is given, and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--page", action="store_true", help="only write the tables again")
+    parser.add_argument("--page", action="store_true", help="only write the tables into the page")
     if not parser.parse_args().page:
         begin, lines = time.perf_counter(), []
         for cell in setups():

@@ -26,16 +26,16 @@ class Panel(NamedTuple):
         return f"{self.scenario}-{kernel}-{self.manipulation}"
 
     @property
-    def words(self) -> list[str]:
-        """The words of the command line that choose this panel."""
-        words = [f"scenario={self.scenario}", f"kernel={self.kernel}", f"manipulation={self.manipulation}"]
-        return words if self.support is None else [*words, f"kernel.support={self.support}"]
+    def overrides(self) -> list[str]:
+        """The Hydra overrides that select this panel."""
+        overrides = [f"scenario={self.scenario}", f"kernel={self.kernel}", f"manipulation={self.manipulation}"]
+        return overrides if self.support is None else [*overrides, f"kernel.support={self.support}"]
 
-    def settings(self, *words: str) -> Settings:
-        """Checked settings of a run on this panel; `words` are further settings of the command line."""
+    def settings(self, *overrides: str) -> Settings:
+        """Checked settings of a run on this panel; `overrides` are further Hydra overrides."""
         GlobalHydra.instance().clear()
         with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-            return check(hydra.compose("config", overrides=[*self.words, *words]))
+            return check(hydra.compose("config", overrides=[*self.overrides, *overrides]))
 
 
 SUPPORTS = {"plane": (0.25, 0.5), "face": (0.5, 1.0)}
@@ -48,12 +48,12 @@ PANELS = tuple(
 
 
 def chosen(names: list[str]) -> tuple[Panel, ...]:
-    """The panels whose names contain one of `names`, in the paper's order; all of them if there is none.
+    """The panels whose names contain one of `names`, in the paper's order; all of them if `names` is empty.
 
     Raises:
-        UserError: if a name fits no panel.
+        UserError: if a name matches no panel.
     """
     for name in names:
         if not any(name in panel.name for panel in PANELS):
-            raise UserError(f"{name}: no panel is called so; there are {', '.join(panel.name for panel in PANELS)}")
+            raise UserError(f"{name}: no panel has this name; choose from {', '.join(panel.name for panel in PANELS)}")
     return tuple(panel for panel in PANELS if not names or any(name in panel.name for name in names))

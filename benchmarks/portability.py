@@ -1,8 +1,9 @@
-"""`scripts/portability`: the numerical tests, and the results of one seed, under simulated processors.
+"""`scripts/portability`: the numerical tests, and the results of one seed, on simulated processors.
 
-Every line of the first table is one run of the numerical tests under a processor of `benchmarks.processors` and a
-number of threads. The second says how far apart the results of one seed are: scores of the same setups, and what whole
-searches end with. Written to benchmarks/portability.csv and benchmarks/spread.csv, unless in the short form.
+Every line of the first table is one run of the numerical tests on a processor of `benchmarks.processors` with a number
+of threads. The second table gives the differences between the results of one seed: scores of the same setups, and final
+results of complete searches. The tables are written to portability.csv and spread.csv in benchmarks/, except with
+--short.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ FEW = ("matrices", "gram", "evaluator", "gradients", "mirrored", "cmaes")
 
 
 class Outcome(NamedTuple):
-    """One run of the tests; `note` names the first failures, or says why there was no run."""
+    """One run of the tests; `note` names the first failures, or the reason why the tests did not run."""
 
     machine: str
     processor: str
@@ -73,7 +74,7 @@ class Outcome(NamedTuple):
 
 
 def tested(processor: Processor, threads: int, tests: Sequence[str], directory: Path) -> Outcome:
-    """Run the tests as on that processor."""
+    """Run the tests on a simulated processor."""
     mkl = ", ".join(filter(None, (processor.mkl, processor.maker and f"maker: {processor.maker}")))
     described = (processor.torch, mkl, processor.numba)
     reason = missing(processor)
@@ -104,7 +105,7 @@ def tested(processor: Processor, threads: int, tests: Sequence[str], directory: 
 
 
 def described_here() -> str:
-    """This machine's processor, as its operating system names it, and what torch makes of it."""
+    """This machine's processor as the operating system names it, and the capability that torch detects."""
     name = platform.processor() or platform.machine()
     with contextlib.suppress(OSError):
         found = re.search(r"^model name\s*: (.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE)
@@ -113,7 +114,7 @@ def described_here() -> str:
 
 
 def written(path: Path, outcomes: Sequence[Outcome]) -> None:
-    """Write outcomes into the table, in place of those of the same machine, processor and threads."""
+    """Write outcomes into the table, replacing those of the same machine, processor and threads."""
     rows: dict[tuple[str, ...], tuple] = {}
     if path.exists():
         with path.open(newline="") as file:
@@ -126,19 +127,19 @@ def written(path: Path, outcomes: Sequence[Outcome]) -> None:
 
 
 def main() -> int:
-    """Print both tables; 1 if a test failed."""
+    """Print both tables; return 1 if a test failed."""
     parser = argparse.ArgumentParser(prog="scripts/portability", description=(__doc__ or "").partition("\n\n")[2])
     parser.add_argument(
         "--short", action="store_true", help="three processors, one thread, the tests of small matrices"
     )
-    parser.add_argument("--only", metavar="NAME", action="append", help="of the processors, those whose name has NAME")
-    parser.add_argument("--threads", type=int, nargs="+", help="numbers of threads (1 2)")
-    parser.add_argument("--no-spread", action="store_true", help="the tests alone")
+    parser.add_argument("--only", metavar="NAME", action="append", help="only processors whose name contains NAME")
+    parser.add_argument("--threads", type=int, nargs="+", help="numbers of threads; default: 1 2")
+    parser.add_argument("--no-spread", action="store_true", help="only the tests, not the second table")
     arguments = parser.parse_args()
     chosen = [p for p in PROCESSORS if not arguments.short or p.name in SHORT]
     chosen = [p for p in chosen if arguments.only is None or any(name in p.name for name in arguments.only)]
     if not chosen:
-        parser.error(f"--only: there are {', '.join(p.name for p in PROCESSORS)}")
+        parser.error(f"--only: no processor matches; choose from {', '.join(p.name for p in PROCESSORS)}")
     threads = arguments.threads or ([1] if arguments.short else [1, 2])
     whole = len(chosen) == len(PROCESSORS) and not arguments.threads
     print(f"this processor: {described_here()}; torch {torch.__version__}", flush=True)

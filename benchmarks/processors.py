@@ -1,8 +1,8 @@
-"""Other processors than this one, as far as settings can simulate them: instruction sets, and how MKL chooses its code.
+"""Simulates other processors by environment variables: instruction sets, and the code paths that MKL selects.
 
-PyTorch's own loops obey ATEN_CPU_CAPABILITY, numba's machine code NUMBA_CPU_NAME, MKL MKL_ENABLE_INSTRUCTIONS and
-MKL_CBWR. MKL takes other code paths on processors that are not Intel's, in which results depend on how an array is
-aligned; no setting asks for either, but a small library that is loaded first can answer in place of MKL's own check.
+ATEN_CPU_CAPABILITY selects the code of PyTorch's own loops, NUMBA_CPU_NAME that of numba, MKL_ENABLE_INSTRUCTIONS and
+MKL_CBWR that of MKL. On processors that are not Intel's MKL takes other code paths, whose results depend on the
+alignment of arrays. No setting selects these, but a small preloaded library can replace MKL's own check.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import torch
 
-LEVELS = ("DEFAULT", "AVX2", "AVX512")  # as torch names what a processor can do, rising
+LEVELS = ("DEFAULT", "AVX2", "AVX512")  # torch's names of processor capabilities, in ascending order
 ANSWERS = "int mkl_serv_intel_cpu(void){{return {0};}} int mkl_serv_intel_cpu_true(void){{return {0};}}"
 CHECK = "mkl_serv_intel_cpu_true"
 
@@ -25,11 +25,11 @@ class Processor(NamedTuple):
     """A simulated processor.
 
     Attributes:
-        name: for the table.
-        level: what the real processor must be able to do, one of `LEVELS`.
+        name: in the table.
+        level: the capability that the real processor needs, one of `LEVELS`.
         torch, mkl, numba: the values of ATEN_CPU_CAPABILITY, of one of MKL's settings, and of NUMBA_CPU_NAME; "" for
-            what the real processor would take.
-        maker: what MKL is to take it for, "intel" or "another"; "" for what the real processor is.
+            the default of the real processor.
+        maker: the maker that MKL detects, "intel" or "another"; "" for that of the real processor.
     """
 
     name: str
@@ -56,7 +56,7 @@ SHORT = ("Intel's, AVX2", "oldest, MKL compatible", "another maker's, AVX2")
 
 
 def missing(processor: Processor) -> str:
-    """Why a processor cannot be simulated here; empty if it can be."""
+    """The reason why a processor cannot be simulated here; empty if it can."""
     if platform.machine() not in ("x86_64", "AMD64") and processor.name != "this one":
         return f"this machine is {platform.machine()}"
     real = torch.backends.cpu.get_cpu_capability()
@@ -68,12 +68,12 @@ def missing(processor: Processor) -> str:
         try:
             getattr(ctypes.CDLL(str(Path(torch.__file__).parent / "lib" / "libtorch_cpu.so")), CHECK)
         except (OSError, AttributeError):
-            return "this torch has no MKL whose check could be answered for"
+            return "this torch has no MKL whose check can be replaced"
     return ""
 
 
 def environment(processor: Processor, directory: Path) -> dict[str, str]:
-    """What to set for processes that are to run as on that processor; machine code is kept in `directory`.
+    """The environment variables that simulate a processor; compiled code is kept in `directory`.
 
     Raises:
         subprocess.CalledProcessError: if the C compiler fails.

@@ -1,4 +1,4 @@
-"""How far apart one seed's results are on several processors: scores of the same setups, and the ends of searches."""
+"""Differences between the results of one seed on several processors: scores of the same setups, ends of searches."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ METHODS: dict[str, dict[str, Any]] = {
 
 
 class Line(NamedTuple):
-    """One processor beside the first: `what` differs by `largest`, of `unit`; `equal` if it is the same to the bit."""
+    """A processor compared with the first: `what` differs by at most `largest` `unit`; `equal` if bitwise identical."""
 
     processor: str
     what: str
@@ -45,7 +45,7 @@ class Line(NamedTuple):
 
 
 def scores() -> dict[str, np.ndarray]:
-    """R and P of the same setups, uniform in the plane's box: drawn alike on every processor."""
+    """R and P of setups drawn uniformly in the plane's box, the same ones on every processor."""
     scenario = plane(resolution=(60, 60))
     generator = torch.Generator().manual_seed(0)
     centers = scenario.lower + (scenario.upper - scenario.lower) * torch.rand(
@@ -61,7 +61,7 @@ def scores() -> dict[str, np.ndarray]:
 
 
 def ends() -> dict[str, np.ndarray]:
-    """What each method ends with: objectives [p, 2] of the plane's problem, seed 0."""
+    """The final objectives [p, 2] of each method on the plane, seed 0."""
     found = {}
     for name, method in METHODS.items():
         config = {
@@ -82,10 +82,10 @@ def ends() -> dict[str, np.ndarray]:
 
 
 def measured(processors: Sequence[Processor], directory: Path) -> list[Line]:
-    """Compute all of it as on each processor, in a process of its own, and compare it with the first one's.
+    """Compute the results on each simulated processor, in a separate process, and compare them with the first's.
 
     Raises:
-        RuntimeError: with what a process printed, if it failed.
+        RuntimeError: if a process failed; the message is the end of its stderr.
     """
     files = []
     for index, processor in enumerate(processors):
@@ -105,13 +105,13 @@ def measured(processors: Sequence[Processor], directory: Path) -> list[Line]:
 
 
 def compared(name: str, first: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> list[Line]:
-    """The largest differences between two processors' results, where they started from the same setups.
+    """The largest differences between two processors' results.
 
     Raises:
-        ValueError: if they did not.
+        ValueError: if they scored different setups.
     """
     if not np.array_equal(first["centers"], other["centers"]):
-        raise ValueError(f"{name}: the setups to score are not the same")
+        raise ValueError(f"{name}: the scored setups are not the same")
     lines = []
     for what in (key for key in first if key.startswith("scores")):
         one, two = first[what], other[what]
@@ -134,7 +134,7 @@ def compared(name: str, first: dict[str, np.ndarray], other: dict[str, np.ndarra
 
 
 def table(lines: Sequence[Line]) -> str:
-    """The largest difference of each kind over all processors, and how many of them have the same bits."""
+    """The largest difference of each kind over all processors, and how many of them are bitwise identical."""
     rows = []
     for what, unit in dict.fromkeys((line.what, line.unit) for line in lines):
         these = [line for line in lines if (line.what, line.unit) == (what, unit)]

@@ -1,7 +1,7 @@
-"""Ways to trace a front by gradients, side by side: what was tried before `method=gradient` became what it is.
+"""Compares strategies for tracing a front by gradients: those tried during the development of `method=gradient`.
 
-All get the same coarse design, the same number of gradient evaluations and an archive of what they meet; the 100
-setups that keep most of its hypervolume are scored by definition on all vertices.
+All strategies use the same coarse design, the same number of gradient evaluations and an archive of the setups that
+they evaluate. The 100 archived setups that keep most of its hypervolume are scored by definition on all vertices.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ class Trial:
 
     def __init__(self, panel: Panel, seed: int) -> None:
         self.panel, self.seed = panel, seed
-        words = ("method=gradient", f"method.starts={POPULATION}", f"method.population={POPULATION}", f"seed={seed}")
-        self.run = Run(panel.settings(*words))
+        sizes = (f"method.starts={POPULATION}", f"method.population={POPULATION}")
+        self.run = Run(panel.settings("method=gradient", *sizes, f"seed={seed}"))
         self.problem = self.run.problem().coarsened(COARSE)
         self.side = self.problem.space.upper - self.problem.space.lower
         self.archive = Archive(self.random(), limit=1000)
 
     def random(self) -> Tensor:
-        """[POPULATION, D] the run's initial population."""
+        """The run's initial population [POPULATION, D]."""
         return self.points(self.problem.initial.centers)
 
     def points(self, centers: Tensor) -> Tensor:
@@ -68,7 +68,7 @@ class Trial:
         return self.problem.space.lower + self.side * self.problem.unflatten(points)
 
     def heuristics(self) -> Tensor:
-        """[POPULATION, D] a third random, a third scattered around Lloyd's setup, a third around that of OLS."""
+        """Points [POPULATION, D]: a third random, a third scattered around Lloyd's setup, a third around OLS's."""
         points = self.random()
         generator = self.problem.stream("strategies")
         lloyd = self.points(LloydHeuristic().place(self.problem))
@@ -79,26 +79,26 @@ class Trial:
         return points.clamp(0.0, 1.0)
 
     def look(self, points: Tensor) -> Spectrum:
-        """Spectrum of points [p, D]; the archive takes them."""
+        """The spectrum of points [p, D], which are added to the archive."""
         spectrum = self.problem.spectrum(self.centers(points))
         self.archive.add(points, torch.stack((spectrum.regularity, spectrum.potential), 1))
         return spectrum
 
     def slopes(self, spectrum: Spectrum, q: Tensor, aim: Aim) -> tuple[Tensor, Tensor, Tensor]:
-        """log of the soft R, values of the aim, and their gradients [p, D] in the unit box."""
+        """log of the soft R, the values of the aim, and their gradients [p, D] in the unit box."""
         log_regularity, slope = soft_regularity(spectrum, q)
         values, first, second = aim(log_regularity, spectrum.potential)
         gradient = spectrum.backward(first[:, None] * slope, second) * self.side
         return log_regularity, values, gradient.flatten(1)
 
     def result(self) -> Tensor:
-        """Objectives [at most 100, 2] on all vertices by definition."""
+        """Objectives [at most 100, 2] of the archive's best-spread setups, on all vertices by definition."""
         rows = well_spread(self.archive.objectives, 100)
         return self.run.evaluator.definition(self.centers(self.archive.points[rows])).objectives
 
 
 def quasi_newton(trial: Trial, points: Tensor, aim: Aim, steps: int, sharpness: float = 64.0, every: int = 20) -> None:
-    """L-BFGS with one aim; the smoothing is fitted to R every so many steps, and multipliers are moved."""
+    """L-BFGS with one aim; every `every` steps the smoothing is fitted to R and multipliers are updated."""
     climb = LBFGS(points)
     q = torch.ones_like(points[:, 0])
     for step in range(steps):
@@ -114,7 +114,7 @@ def quasi_newton(trial: Trial, points: Tensor, aim: Aim, steps: int, sharpness: 
 
 
 def adam(trial: Trial, points: Tensor, aim: Aim | None, steps: int, rate: float = 0.01) -> None:
-    """Adam with one step size a setup and a cosine schedule; without an aim it climbs the hypervolume of all setups."""
+    """Adam with a step size for each setup and a cosine schedule; without an aim it maximizes the hypervolume."""
     first, second = torch.zeros_like(points), torch.zeros_like(points[:, :1])
     for step in range(steps):
         spectrum = trial.look(points)
@@ -144,21 +144,21 @@ def hypervolume_aim(spectrum: Spectrum) -> Aim:
 
 
 class Constrained(Aim):
-    """max log R subject to -log(1 - P) >= t, by an augmented Lagrangian; `update` moves the multipliers."""
+    """max log R subject to -log(1 - P) >= t, by an augmented Lagrangian; `update` updates the multipliers."""
 
     def __init__(self, thresholds: Tensor, stiffness: float) -> None:
         self.thresholds, self.stiffness = thresholds, stiffness
         self.multipliers = torch.zeros_like(thresholds)
 
     def update(self, log_regularity: Tensor, potential: Tensor) -> None:
-        """Multipliers after a round of climbs."""
+        """Update the multipliers after a round of climbs."""
         self.multipliers = self._pull(climbs(torch.stack((log_regularity.exp(), potential), 1))[:, 1])
 
     def _pull(self, lift: Tensor) -> Tensor:
         return (self.multipliers + self.stiffness * (self.thresholds - lift)).clamp_min(0.0)
 
     def __call__(self, log_regularity: Tensor, potential: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Values, and both gradients."""
+        """The values, and their derivatives by log R and by P."""
         lift = climbs(torch.stack((log_regularity.exp(), potential), 1))[:, 1]
         pull = self._pull(lift)
         value = log_regularity - (pull.square() - self.multipliers.square()) / (2.0 * self.stiffness)
@@ -166,27 +166,27 @@ class Constrained(Aim):
 
 
 def weights() -> Tensor:
-    """[POPULATION] evenly over [0, 1]."""
+    """Weights [POPULATION], evenly spaced over [0, 1]."""
     return torch.linspace(0.0, 1.0, POPULATION, dtype=torch.float64)
 
 
 def adam_random(trial: Trial) -> None:
-    """Adam, weighted sums of the logarithms, random starts"""
+    """Adam, weighted sums of the logarithms, random starts."""
     adam(trial, trial.random(), WeightedSum(weights()), STEPS)
 
 
 def lbfgs_random(trial: Trial) -> None:
-    """L-BFGS, weighted sums, random starts"""
+    """L-BFGS, weighted sums, random starts."""
     quasi_newton(trial, trial.random(), WeightedSum(weights()), STEPS)
 
 
 def lbfgs_starts(trial: Trial) -> None:
-    """L-BFGS, weighted sums, starts from Lloyd, OLS and at random"""
+    """L-BFGS, weighted sums, starts from Lloyd, OLS and at random."""
     quasi_newton(trial, trial.heuristics(), WeightedSum(weights().roll(POPULATION // 2)), STEPS)
 
 
 def lbfgs_best_start(trial: Trial) -> None:
-    """the same, each weight going on from the best of all setups after a third and two thirds"""
+    """As `lbfgs_starts`, but each weight restarts from the best of all setups after a third and two thirds."""
     points, third = trial.heuristics(), STEPS // 3
     aim = WeightedSum(weights())
     for _ in range(3):
@@ -197,7 +197,7 @@ def lbfgs_best_start(trial: Trial) -> None:
 
 
 def constrained(trial: Trial) -> None:
-    """L-BFGS, max R subject to P >= t by an augmented Lagrangian, after a third of weighted sums"""
+    """L-BFGS, max R subject to P >= t by an augmented Lagrangian, after a third of weighted sums."""
     third = STEPS // 3
     quasi_newton(trial, trial.heuristics(), WeightedSum(weights().roll(POPULATION // 2)), third)
     front = trial.archive.objectives
@@ -209,12 +209,12 @@ def constrained(trial: Trial) -> None:
 
 
 def hypervolume_gradient(trial: Trial) -> None:
-    """Adam along the gradient of the hypervolume of all setups, starts from Lloyd, OLS and at random"""
+    """Adam along the gradient of the hypervolume of all setups, starts from Lloyd, OLS and at random."""
     adam(trial, trial.heuristics(), None, STEPS)
 
 
 def polished_nsga2(trial: Trial) -> None:
-    """the front of NSGA-II after 250,000 evaluations, climbing outwards by L-BFGS"""
+    """L-BFGS outwards from NSGA-II's front after 250,000 evaluations."""
     reference = Reference(trial.panel, trial.seed)
     centers = trial.problem.unflatten(reference.population(250_000)[0])
     trial.look(trial.points(centers))
@@ -249,12 +249,12 @@ def attempt(panel: Panel, name: str, seed: int) -> tuple[float, ...]:
 
 
 def main() -> int:
-    """Try all strategies on some panels and write the table."""
+    """Run the strategies on the panels and write the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.strategies", description=__doc__)
-    parser.add_argument("panels", nargs="*", help="panels, or parts of their names; all twelve if none is given")
-    parser.add_argument("--only", nargs="+", choices=[*STRATEGIES, METHOD])
-    parser.add_argument("--seeds", nargs="+", type=int, default=[0])
-    parser.add_argument("--output", type=Path, default=OUTPUT)
+    parser.add_argument("panels", nargs="*", help="panels, or parts of their names; default: all twelve")
+    parser.add_argument("--only", nargs="+", choices=[*STRATEGIES, METHOD], help="only these strategies")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0], help="default: 0")
+    parser.add_argument("--output", type=Path, default=OUTPUT, help="CSV file; default: strategies.csv in benchmarks/")
     arguments = parser.parse_args()
     lines: list[tuple] = []
     try:

@@ -1,1 +1,1 @@
-"""The paper's results made again, and put to the test: `scripts/reproduce`."""
+"""Reproduces the paper's results and tests its claims: `scripts/reproduce`."""

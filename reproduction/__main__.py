@@ -18,13 +18,13 @@ from reproduction.study import Study
 PARTS = ("runs", "fronts", "fits", "figures", "claims")
 
 
-def say(line: str) -> None:
-    """Print a line at once."""
+def report(line: str) -> None:
+    """Print a line with the time, without buffering."""
     print(f"{time.strftime('%H:%M:%S')} {line}", flush=True)
 
 
-def started(out: Path, budget: Budget) -> dict[str, object]:
-    """Make the directory, or go on in one of the same budget; the contents of study.json.
+def prepare(out: Path, budget: Budget) -> dict[str, object]:
+    """Make the directory, or continue in one of the same budget; return the contents of study.json.
 
     Raises:
         UserError: if the directory belongs to another budget or cannot be made.
@@ -37,9 +37,9 @@ def started(out: Path, budget: Budget) -> dict[str, object]:
     if (out / "study.json").exists():
         held = Study(out).facts
         if held["budget"] != budget.name:
-            raise UserError(f"--out {out} holds --budget {held['budget']}: choose another directory for {budget.name}")
+            raise UserError(f"--out {out} is of --budget {held['budget']}: choose another directory for {budget.name}")
     contents: dict[str, object] = {**page.facts(budget.name), "seconds": held.get("seconds", {})}
-    for name in ("hardware", "software"):  # of every machine that had a part in it
+    for name in ("hardware", "software"):  # of every machine used
         before = str(held.get(name, contents[name]))
         contents[name] = before if str(contents[name]) in before else f"{before}; then {contents[name]}"
     page.write_facts(out, contents)
@@ -47,34 +47,35 @@ def started(out: Path, budget: Budget) -> dict[str, object]:
 
 
 def carry_out(part: str, out: Path, budget: Budget, names: list[str]) -> int:
-    """Do one part; return its exit code."""
+    """Carry out one part; return its exit code."""
     panels = chosen(names)
     if part == "runs":
-        return runs.carry_out(budget, out, say, panels)
+        return runs.carry_out(budget, out, report, panels)
     if part == "fronts":
-        return runs.carry_out_fronts(budget, out, say, panels)
+        return runs.carry_out_fronts(budget, out, report, panels)
     if part == "fits":
         from reproduction import fits
 
-        return fits.carry_out(Study(out), say)
+        return fits.carry_out(Study(out), report)
     from reproduction import figures
 
     if part == "figures":
         for warning in figures.draw(out):
-            say(f"warning: {warning}")
+            report(f"warning: {warning}")
         return 0
-    study = whole(out)
+    study = study_with_runs(out)
     findings = page.write(study, figures.captions(study))
     verdicts = [finding.verdict for finding in findings.values()]
-    say(f"{out / 'claims.md'}: " + ", ".join(f"{verdicts.count(name)} {name}" for name in dict.fromkeys(verdicts)))
+    counts = (f"{verdicts.count(name)} {name}" for name in dict.fromkeys(verdicts))
+    report(f"{out / 'claims.md'}: {', '.join(counts)}")
     return 0
 
 
-def whole(out: Path) -> Study:
-    """The study that lies in a directory.
+def study_with_runs(out: Path) -> Study:
+    """The study of a directory that holds runs.
 
     Raises:
-        UserError: if it has no runs: the repository has pages, but not the runs that they were made from.
+        UserError: if it holds none: the repository has pages, but not the runs that they were made from.
     """
     study = Study(out)
     if not (out / "runs").is_dir():
@@ -83,37 +84,37 @@ def whole(out: Path) -> Study:
 
 
 def show_claim(out: Path, key: str) -> int:
-    """Measure one claim again, and print its values.
+    """Measure one claim and print its values.
 
     Raises:
         UserError: if there is no such claim.
     """
     found = next(((number, claim) for number, claim in enumerate(CLAIMS, 1) if claim.key == key), None)
     if found is None:
-        raise UserError(f"--claim {key}: there is no such claim; there are {', '.join(claim.key for claim in CLAIMS)}")
-    study = whole(out)
+        raise UserError(f"--claim {key}: there is no such claim; choose from {', '.join(one.key for one in CLAIMS)}")
+    study = study_with_runs(out)
     print("\n".join(page.claim_lines(*found, found[1].find(study), study)).strip())
     return 0
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Do what is missing, part by part; return the exit code."""
+    """Carry out what is missing, part by part; return the exit code."""
     parser = argparse.ArgumentParser(prog="scripts/reproduce", description=__doc__)
-    parser.add_argument("panels", nargs="*", help="runs and fronts of these panels alone (parts of their names)")
-    parser.add_argument("--budget", default="quick", help=f"one of {', '.join(BUDGETS)}; quick is the default")
-    parser.add_argument("--out", type=Path, help="where it goes; outputs/reproduce/BUDGET is the default")
-    parser.add_argument("--only", choices=PARTS, action="append", help="this part alone; may be given several times")
-    parser.add_argument("--claim", metavar="KEY", help="measure one claim again on what --out holds, and print it")
+    parser.add_argument("panels", nargs="*", help="only runs and fronts of these panels (parts of their names)")
+    parser.add_argument("--budget", default="quick", help=f"one of {', '.join(BUDGETS)}; default: quick")
+    parser.add_argument("--out", type=Path, help="directory of the results; default: outputs/reproduce/BUDGET")
+    parser.add_argument("--only", choices=PARTS, action="append", help="only this part; may be given several times")
+    parser.add_argument("--claim", metavar="KEY", help="measure one claim on the results in --out, and print it")
     options = parser.parse_args(arguments)
     try:
         budget = budget_named(options.budget)
         out = options.out or Path("outputs") / "reproduce" / budget.name
         if options.claim is not None and options.panels:
-            raise UserError(f"--claim {options.claim} takes all panels; leave out {' '.join(options.panels)}")
+            raise UserError(f"--claim {options.claim} takes all panels: leave out {' '.join(options.panels)}")
         if options.claim is not None:
             return show_claim(out, options.claim)
         chosen(options.panels)
-        contents = started(out, budget)
+        contents = prepare(out, budget)
         taken = dict(json.loads(json.dumps(contents["seconds"])))
         for part in options.only or PARTS:
             begin = time.perf_counter()
@@ -126,7 +127,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"scripts/reproduce: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("scripts/reproduce: interrupted; the same command goes on from here", file=sys.stderr)
+        print("scripts/reproduce: interrupted; the same command continues from here", file=sys.stderr)
         return 130
     return 0
 

@@ -1,4 +1,4 @@
-"""How much each budget spends: seeds, evaluations, generations, and the size of the fits."""
+"""The budgets: seeds, evaluations, generations, and the size of the fits."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ class Budget(NamedTuple):
     Attributes:
         name: on the command line.
         seeds: of the random setups, of Lloyd and of NSGA-II's fronts.
-        search_seeds: of CMA-ES and of the gradient search, which no file in the repository brings along.
+        search_seeds: of CMA-ES and of the gradient search, whose results are not in the repository.
         evaluations: of NSGA-II for one front.
-        computes_fronts: False takes the fronts that `benchmarks/fronts` holds, and none where one is missing.
+        computes_fronts: False uses only the fronts in `benchmarks/fronts` and leaves out missing ones.
         generations: of the (25,100)-CMA-ES for each preference.
         full: panels on which CMA-ES also gets the paper's 1,000 generations, for three preferences and the first seed.
         random: setups drawn at random for each panel and seed.
         fit_subdivisions: of the sphere that the fits deform.
         fit_generations: after which a fit is given up, on the plane and on the sphere.
         fit_seeds: of the fits' evolution strategies, on the plane and on the sphere.
-        gradient: further words of the gradient search's command line.
-        plane, face: further words of each scenario's, such as its size; none is the paper's.
+        gradient: further Hydra overrides of the gradient search.
+        plane, face: further Hydra overrides of each scenario, such as its size; none for the paper's scenario.
     """
 
     name: str
@@ -41,13 +41,13 @@ class Budget(NamedTuple):
     plane: tuple[str, ...] = ()
     face: tuple[str, ...] = ()
 
-    def words(self, scenario: str) -> tuple[str, ...]:
-        """The further words of a scenario."""
+    def overrides(self, scenario: str) -> tuple[str, ...]:
+        """The further Hydra overrides of a scenario."""
         return {"plane": self.plane, "face": self.face}[scenario]
 
     @property
-    def in_words(self) -> str:
-        """What was spent, for captions."""
+    def description(self) -> str:
+        """The evaluations of each search and the overrides, for captions."""
         spent = f"NSGA-II {self.evaluations:,} evaluations, CMA-ES {self.generations * 100:,} for each preference"
         return "; ".join([spent, *self.gradient, *self.plane, *self.face])
 

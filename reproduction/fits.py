@@ -1,7 +1,7 @@
-"""Does it pay? The design optimizations that R and P are there to predict, from setups of every kind.
+"""The design optimizations (fits) whose course R and P are meant to predict, with setups of every method.
 
-A group is a scenario and a kernel: its setups are fitted under every manipulation by every strategy, a table for each,
-which is not computed again once it is there. Groups run side by side, one process each.
+A group is a scenario and a kernel. Its setups are fitted under every manipulation by every strategy, with a table for
+each; existing tables are not computed again. Groups run in parallel, one process each.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Group(NamedTuple):
     kind: str
 
     def path(self, out: Path, manipulation: str, strategy: str) -> Path:
-        """Where the table of one manipulation and strategy lies."""
+        """The file of the table of one manipulation and strategy."""
         return out / "fits" / f"{self.scenario}-{self.kind}-{manipulation}-{strategy}.csv"
 
 
@@ -51,7 +51,7 @@ GROUPS = tuple(Group(scenario, kind) for scenario in SCENARIOS for kind in KINDS
 
 
 def spread(setups: Setups, count: int) -> Setups:
-    """`count` setups of a front, about equally far apart along it, its ends among them."""
+    """`count` setups of a front, about evenly spaced along it, including its ends."""
     front = setups.front
     if len(front.regularity) <= count:
         return front
@@ -61,10 +61,10 @@ def spread(setups: Setups, count: int) -> Setups:
 
 
 def setups(study: Study, group: Group) -> tuple[Array, list[str]]:
-    """Centers [B, m, d] of the setups that are fitted, and where each comes from; seed 0.
+    """Centers [B, m, d] of the setups that are fitted, and the origin of each; seed 0.
 
     Raises:
-        UserError: if the runs that they come from are not there.
+        UserError: if their runs are missing.
     """
     centers, origins = [], []
     for manipulation in ("indirect", "direct"):
@@ -81,7 +81,7 @@ def setups(study: Study, group: Group) -> tuple[Array, list[str]]:
 
 
 def design(study: Study, name: str) -> Scenario:
-    """The scenario that is fitted: the plane as it is, the sphere of as many vertices as the budget allows."""
+    """The scenario that is fitted: the plane as it is, or a sphere with the budget's number of vertices."""
     if name == "plane":
         return study.scenario("plane")
     (panel,) = panels_of(name, "local", "indirect")
@@ -89,7 +89,7 @@ def design(study: Study, name: str) -> Scenario:
 
 
 def carry_out_group(out: Path, group: Group) -> str:
-    """Fit the setups of one group wherever a table is missing; return a line to say."""
+    """Fit the setups of one group for every missing table; return a line to report."""
     begin = time.perf_counter()
     study = Study(out)
     budget, position = study.budget, SCENARIOS.index(group.scenario)
@@ -102,7 +102,7 @@ def carry_out_group(out: Path, group: Group) -> str:
         if not group.path(out, manipulation, strategy).exists()
     ]
     if not missing:
-        return f"fits of {group.scenario} {group.kind} are there"
+        return f"fits of {group.scenario} {group.kind}: complete"
     scenario, seeds = design(study, group.scenario), range(budget.fit_seeds[position])
     (panel,) = panels_of(group.scenario, group.kind, "indirect")
     kernel = build(panel.settings("method=lloyd").kernel, scenario.vertices.shape[1], scenario.support)
@@ -132,7 +132,7 @@ def carry_out_group(out: Path, group: Group) -> str:
 
 
 def forget_others(out: Path, group: Group, study: Study, centers: Array) -> None:
-    """Remove tables that were made from other setups or with other settings than now; note what is made now."""
+    """Remove tables made from other setups or with other settings; record the current ones."""
     budget = study.budget
     settings = [budget.fit_subdivisions, *budget.fit_generations, *budget.fit_seeds, SMOOTHNESS[group.scenario]]
     mark = hashlib.sha256(repr(settings).encode() + np.ascontiguousarray(centers).tobytes()).hexdigest()
@@ -149,8 +149,8 @@ def columns(fit: Fit) -> tuple[Any, ...]:
     return (*scores, fit.generations, fit.stop, fit.start_error, fit.optimum, fit.error, fit.evaluations)
 
 
-def carry_out(study: Study, say: Callable[[str], None], groups: Sequence[Group] = GROUPS) -> int:
-    """Carry out all fits that are missing; return 0, or 1 if a group failed for good."""
+def carry_out(study: Study, report: Callable[[str], None], groups: Sequence[Group] = GROUPS) -> int:
+    """Carry out all missing fits; return 0, or 1 if a group failed."""
     (study.out / "fits").mkdir(exist_ok=True)
     workers = max(1, min(len(groups), len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1))
     code = 0
@@ -158,9 +158,9 @@ def carry_out(study: Study, say: Callable[[str], None], groups: Sequence[Group] 
         waiting = {pool.submit(carry_out_group, study.out, group): group for group in groups}
         for done in as_completed(waiting):
             try:
-                say(done.result())
+                report(done.result())
             except UserError as error:
-                say(f"fits of {' '.join(waiting[done])} were left out: {error}")
+                report(f"fits of {' '.join(waiting[done])} were left out: {error}")
                 code = 1
     return code
 
@@ -170,7 +170,7 @@ def _one_thread() -> None:
 
 
 def tables(study: Study) -> Iterator[dict[str, str]]:
-    """The rows of all tables that are there."""
+    """The rows of all existing tables."""
     for group in GROUPS:
         for manipulation in MANIPULATIONS:
             for strategy in STRATEGIES:

@@ -1,4 +1,4 @@
-"""Pieces of Markdown."""
+"""Markdown paragraphs and tables."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 
 def prose(text: str) -> str:
-    """A paragraph on one line, whatever lines it stands on in the code."""
+    """A paragraph on one line, without the line breaks and indentation of the source code."""
     return " ".join(text.split())
 
 

@@ -1,4 +1,4 @@
-"""What claims are measured by: how uniform centers are, how adapted to the target, and how a front is shaped."""
+"""Quantities that claims are measured by: uniformity of centers, adaptation to the target, and shape of a front."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ def spearman(one: Array, other: Array) -> float:
 
 
 def separation(centers: Array) -> float:
-    """The separation distance of centers [m, d]: the least distance of any two (Wendland 2004; paper, section 7)."""
+    """The separation distance of centers [m, d]: the least distance between two (Wendland 2004; paper, section 7)."""
     return float(pdist(centers).min())
 
 
 def matched_distance(one: Array, other: Array) -> float:
-    """The mean distance of centers [m, d] to those of another setup, in those pairs that make it least."""
+    """The mean distance of centers [m, d] to those of another setup, paired so that it is minimal."""
     distance = cdist(one, other)
     return float(distance[linear_sum_assignment(distance)].mean())
 
 
 def adaptation(centers: Array, vertices: Array, local_error: Array) -> Array:
-    """How much more than the average vertex those nearest to the centers have to move.
+    """The initial local error at the centers, relative to its average.
 
     The mean over the centers [*pop, m, d] of the initial local error [n] at the vertex [n, d] closest to each, divided
-    by its mean over all vertices; 1 for centers that do not look at the target.
+    by its mean over all vertices; about 1 for centers placed independently of the target.
     """
     _, nearest = KDTree(vertices).query(centers)
     return local_error[nearest].mean(axis=-1) / local_error.mean()
@@ -52,11 +52,11 @@ def steps(front: Array) -> Array:
 
 
 def roughness(front: Array, places: int = 15) -> float:
-    """Degrees by which a front [p, 2], scaled to its extent, turns to and fro along its way.
+    """Degrees by which a front [p, 2], scaled to its extent, turns back and forth along its length.
 
-    All its turns less their sum, over `places` equal stretches of its length: 0 for a front that bends one way only;
-    every dent adds twice what it turns back, and a staircase of k steps about 180 k, as far as the stretches resolve
-    it."""
+    The sum of the absolute turns less the absolute value of their sum, over `places` segments of equal length: 0 for a
+    front that bends in one direction only; every dent adds twice its turn, and a staircase of k steps about 180 k, as
+    far as the segments resolve it."""
     points = scaled(front, front)
     along = np.concatenate([[0.0], np.cumsum(steps(front))])
     at = np.linspace(0, along[-1], places + 1)
@@ -68,7 +68,7 @@ def roughness(front: Array, places: int = 15) -> float:
 def best_given(front: Array, at_least: Array, gained: int) -> float:
     """The best of objective `gained` among setups [p, 2] that are at least as good as `at_least` [2] in the other one.
 
-    -inf where there is none.
+    -inf if there is none.
     """
     rivals = front[front[:, 1 - gained] >= at_least[1 - gained]]
     return float(rivals[:, gained].max()) if len(rivals) else -np.inf

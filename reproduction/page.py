@@ -1,4 +1,4 @@
-"""The page: `claims.md`, and beside it the tables that its numbers stand in."""
+"""The page `claims.md` and the tables that hold its numbers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from reproduction.study import METHODS, PANELS, Study
 def write(study: Study, captions: dict[str, str]) -> dict[str, Finding]:
     """Measure every claim; write claims.md, claims.csv, runs.csv and the setups of every panel; return the findings.
 
-    `captions` are those of the figures, by file name.
+    `captions` are the captions of the figures by file name.
     """
     findings = {claim.key: claim.find(study) for claim in CLAIMS}
     cases = [
@@ -42,7 +42,7 @@ def write(study: Study, captions: dict[str, str]) -> dict[str, Finding]:
 
 
 def run_table(study: Study) -> Iterable[tuple[str, str, int, int, float, str]]:
-    """Every run that is there: panel, method, seed, evaluations, seconds and its command."""
+    """Every finished run: panel, method, seed, evaluations, seconds and its command."""
     for task in runs.tasks(study.budget):
         summary = study.summary(task.panel, task.series, task.seed)
         if summary is not None and task.done(study.out):
@@ -56,7 +56,7 @@ def run_table(study: Study) -> Iterable[tuple[str, str, int, int, float, str]]:
 
 
 def write_setups(study: Study) -> None:
-    """Write `setups/PANEL.csv`: method, seed, preference, R and P of every setup that figures and claims use."""
+    """Write `setups/PANEL.csv`: method, seed, preference, R and P of every setup used by figures and claims."""
     (study.out / "setups").mkdir(exist_ok=True)
     for panel in PANELS:
         rows = []
@@ -77,32 +77,32 @@ def lines(study: Study, findings: dict[str, Finding], captions: dict[str, str], 
     yield ""
     yield (
         "Richter, Achenbach, Menzel and Botsch, *Multi-objective Representation Setups for Deformation-based Design "
-        "Optimization* (EMO 2017), run again by rbfevo. This page is written by a program; so are its verdicts."
+        "Optimization* (EMO 2017), reproduced with rbfevo. A program writes this page, including its verdicts."
     )
     yield ""
     yield f"- Command: `scripts/reproduce --budget {budget.name} --out OUT`, OUT being the directory of this page."
-    yield f"- Budget: {budget.in_words}; {budget.random} random setups a panel and seed."
+    yield f"- Budget: {budget.description}; {budget.random} random setups per panel and seed."
     if budget.evaluations < FRONT:
         yield prose(f"""- The paper's fronts have {FRONT:,} evaluations, those here {budget.evaluations:,}. That
-            favours what is compared with them: CMA-ES with the paper's generations (series `cmaes-full`), Lloyd and
+            favours the methods compared with them: CMA-ES with the paper's generations (series `cmaes-full`), Lloyd and
             OLS.""")
     yield f"- Hardware: {facts['hardware']}. Software: {facts['software']}."
-    yield prose(f"""- Seconds: the runs in [runs.csv](runs.csv) searched for {seconds:,.0f} in sum (NSGA-II: seconds
-        of processor), each with its command; fronts that `benchmarks/fronts` holds are not computed again. The parts of
-        `scripts/reproduce`, when they were last called, took {parts(facts)} of wall time.""")
+    yield prose(f"""- Times: the runs in [runs.csv](runs.csv), each listed with its command, searched for
+        {seconds:,.0f} s in total (NSGA-II: processor time); fronts in `benchmarks/fronts` are not computed again. The
+        last calls of the parts of `scripts/reproduce` took {parts(facts)} of wall-clock time.""")
     yield prose("""- The run directories are not in the repository; `scripts/reproduce --only runs --only fronts`
         makes them again, and `--claim KEY` then measures one claim again. `setups/` has R and P of all setups,
         `centers/` the centers that the figures show.""")
-    yield prose("""- Words: *local* and *wide* are Wendland's kernel with the smaller and the larger support radius
-        (0.25 and 0.5 on the plane, 0.5 and 1 on the sphere); `face` is the sphere that is to become a face; a *panel*
-        is one scenario, kernel and manipulation.""")
+    yield prose("""- Terms: *local* and *wide* are Wendland's kernel with the smaller and the larger support radius
+        (0.25 and 0.5 on the plane, 0.5 and 1 on the sphere); `face` is the sphere that is deformed into a face; a
+        *panel* is one scenario, kernel and manipulation.""")
     yield "- Hypervolumes have the reference point (0, 0): R and P are both maximized."
-    yield f"- Seeds that are there: {seeds_in_words(study)}."
+    yield f"- Available seeds: {available_seeds(study)}."
     yield ""
     yield "## Verdicts"
     yield ""
-    yield prose(f"""Each claim has a measured quantity and a criterion, and is measured in every place that it speaks
-        of: a panel, or what the table of its values names. A place meets the criterion if most of its seeds do. A claim
+    yield prose(f"""Each claim has a measured quantity and a criterion, and is measured in every place that it covers:
+        a panel, or what the table of its values names. A place meets the criterion if most of its seeds do. A claim
         *holds* if at least {MOST:.0%} of its places meet the criterion, *does not hold here* if fewer than a third
         do, and *holds in part* in between. The criteria are ours: the paper gives few numbers. Two claims, marked so,
         are ours too.""")
@@ -154,7 +154,7 @@ def claim_lines(number: int, claim: Claim, finding: Finding, study: Study) -> It
 
 
 def table(finding: Finding, study: Study) -> Iterable[str]:
-    """Values of a claim, a row for each place and a column for each seed; what is not as claimed is bold."""
+    """The values of a claim, a row for each place and a column for each seed; values that contradict it are bold."""
     seeds: Sequence[int | None] = [
         seed for seed in study.budget.seeds if any(case.seed == seed for case in finding.cases)
     ]
@@ -172,7 +172,7 @@ def table(finding: Finding, study: Study) -> Iterable[str]:
 
 
 def span(finding: Finding) -> str:
-    """The range of a claim's values, in words."""
+    """The range of a claim's values as text."""
     if not finding.cases:
         return ""
     values = [case.value for case in finding.cases]
@@ -181,14 +181,14 @@ def span(finding: Finding) -> str:
 
 
 def parts(facts: dict[str, Any]) -> str:
-    """Seconds of the parts of the last calls, in words."""
+    """The seconds that the last call of each part took, as text."""
     taken = facts.get("seconds", {})
     return ", ".join(f"{seconds:,.0f} s ({part})" for part, seconds in taken.items()) or "an unknown time"
 
 
-def seeds_in_words(study: Study) -> str:
-    """Which seeds every method has, such as `nsga2 0, 1 (2 on 4 of 12 panels)`."""
-    words = []
+def available_seeds(study: Study) -> str:
+    """The seeds that every method has, such as `nsga2 0, 1 (2 on 4 of 12 panels)`."""
+    described = []
     for method in METHODS:
         held = {
             seed: sum(study.setups(panel, method, seed) is not None for panel in PANELS) for seed in study.budget.seeds
@@ -197,9 +197,9 @@ def seeds_in_words(study: Study) -> str:
         parts = [
             f"{seed} on {count} of {len(PANELS)} panels" for seed, count in held.items() if 0 < count < len(PANELS)
         ]
-        described = ", ".join(whole) + (f" ({'; '.join(parts)})" if parts else "")
-        words.append(f"{method} {described.strip() or 'none'}")
-    return "; ".join(words)
+        listed = ", ".join(whole) + (f" ({'; '.join(parts)})" if parts else "")
+        described.append(f"{method} {listed.strip() or 'none'}")
+    return "; ".join(described)
 
 
 def facts(budget: str) -> dict[str, str]:

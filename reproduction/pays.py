@@ -1,4 +1,4 @@
-"""Does it pay? What the fits say about R, P, the manipulations, and the value of a search for regularity."""
+"""Evaluates the fits: how R, P and the manipulations relate to generations and final error of the optimizations."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ ERRORS = ("error", "optimum")
 
 
 class Fitted(NamedTuple):
-    """How q setups of one scenario fared under one manipulation and strategy; medians over the seeds.
+    """The fits of q setups of one scenario under one manipulation and strategy; medians over the seeds.
 
     Attributes:
-        kind, setup: which they are, [q] each.
+        kind, setup: the kernel and the number of each setup, [q] each.
         R, P: of the setup under this manipulation, on the fitted mesh.
-        generations: to the stopping rule; those that did not get there count the cap.
-        reached: the share of seeds that got there.
-        error, optimum: the final one and the least there is, in units of the start's.
+        generations: until convergence; fits that did not converge count as the cap.
+        reached: the share of seeds that converged.
+        error, optimum: the final and the least possible error, relative to that of the start.
     """
 
     kind: Array
@@ -43,12 +43,12 @@ class Fitted(NamedTuple):
     optimum: Array
 
     def of(self, kind: str) -> Fitted:
-        """Those of one kernel, or all."""
+        """The fits of one kernel, or of all."""
         return self if kind == ALL else Fitted(*(column[self.kind == kind] for column in self))
 
 
 class Rank(NamedTuple):
-    """Spearman's rank correlation with the ends of its 95 % confidence interval (bootstrap), over so many setups."""
+    """Spearman's rank correlation, the ends of its 95 % confidence interval (bootstrap), and the number of setups."""
 
     value: float
     low: float
@@ -61,7 +61,7 @@ class Rank(NamedTuple):
 
 @functools.cache
 def fitted(study: Study, scenario: str, manipulation: str, strategy: str) -> Fitted:
-    """What the tables hold of one scenario, manipulation and strategy; setups that could not be fitted left out."""
+    """The fits of one scenario, manipulation and strategy, without setups that could not be fitted."""
     runs: dict[tuple[str, int], list[dict[str, str]]] = {}
     for row in fits.tables(study):
         if (row["scenario"], row["manipulation"], row["strategy"]) == (scenario, manipulation, strategy):
@@ -80,9 +80,9 @@ def fitted(study: Study, scenario: str, manipulation: str, strategy: str) -> Fit
 
 
 def rank(one: Array, other: Array, given: Array | None = None) -> Rank:
-    """Spearman's correlation of two scores [q]; the partial one where a third score is `given`.
+    """Spearman's correlation of two scores [q]; the partial correlation if a third score is `given`.
 
-    NaN where one of the two does not vary, or of fewer than five.
+    NaN if one of the two does not vary, or if there are fewer than five setups.
     """
     if len(one) < 5 or still(one) or still(other):
         return Rank(np.nan, np.nan, np.nan, len(one))
@@ -95,12 +95,12 @@ def rank(one: Array, other: Array, given: Array | None = None) -> Rank:
 
 
 def still(scores: Array) -> bool:
-    """Whether scores [q] differ by no more than rounding, as R does where U is orthogonalized."""
+    """Whether scores [q] differ only by rounding, as R does if U is orthogonalized."""
     return bool(np.ptp(scores) <= 1e-9 * np.abs(scores).max())
 
 
 def _spearman(one: Array, other: Array, given: Array | None = None, axis: int = -1) -> Array:
-    """Of many resamples at once; 0 where one side does not vary."""
+    """Spearman's correlation of many resamples at once; 0 if one side does not vary."""
     ranks = [rankdata(scores, axis=axis) for scores in (one, other)]
     ranks = [rank - rank.mean(axis=axis, keepdims=True) for rank in ranks]
     if given is not None:
@@ -126,15 +126,15 @@ def pairs(study: Study, scenario: str, one: str, other: str, strategy: str) -> t
 
 
 class Correlations(NamedTuple):
-    """What the fits of one scenario, kernel (or all), strategy and manipulation say.
+    """Rank correlations over the fits of one scenario, kernel (or all), strategy and manipulation.
 
     Attributes:
         speed: of R with the generations.
-        given: the same for a given least error: who has farther to go takes longer, and R and P are in conflict.
-        there: the same over those alone that got there.
-        reach: of P with the final error of those that got there; final: of all.
+        given: the same, given the least error: a smaller one takes longer to reach, and R and P are in conflict.
+        converged: as `given`, over the converged fits only.
+        reach: of P with the final error, over the converged fits only; final: over all fits.
         original: of R under indirect manipulation with the generations under this one, given the least error.
-        generations: their median; reached: the share that got there.
+        generations: their median; reached: the share of fits that converged.
     """
 
     scenario: str
@@ -143,7 +143,7 @@ class Correlations(NamedTuple):
     manipulation: str
     speed: Rank
     given: Rank
-    there: Rank
+    converged: Rank
     reach: Rank
     final: Rank
     original: Rank
@@ -152,8 +152,8 @@ class Correlations(NamedTuple):
 
 
 class Change(NamedTuple):
-    """Generations under one manipulation over those under another: median ratio, and on which share of setups there are
-    fewer, and more, of them; how many setups there are."""
+    """Generations under one manipulation over those under another: the median ratio, the shares of setups that need
+    fewer and more of them, and the number of setups."""
 
     scenario: str
     kind: str
@@ -168,19 +168,19 @@ class Change(NamedTuple):
 
 @functools.cache
 def correlations(study: Study) -> tuple[Correlations, ...]:
-    """By scenario, strategy, manipulation and kernel; empty where no fits are there."""
+    """The rank correlations by scenario, strategy, manipulation and kernel; empty if there are no fits."""
     lines = []
     for scenario, strategy, manipulation in itertools.product(SCENARIOS, STRATEGIES, MANIPULATIONS):
         raw, found = pairs(study, scenario, "indirect", manipulation, strategy)
         for kind in (*KINDS, ALL):
             rows, before = found.of(kind), raw.of(kind)
             if len(rows.R) > 0:
-                there = rows.reached == 1
+                done = rows.reached == 1
                 ranks = (
                     rank(rows.R, rows.generations),
                     rank(rows.R, rows.generations, rows.optimum),
-                    rank(rows.R[there], rows.generations[there], rows.optimum[there]),
-                    rank(rows.P[there], rows.error[there]),
+                    rank(rows.R[done], rows.generations[done], rows.optimum[done]),
+                    rank(rows.P[done], rows.error[done]),
                     rank(rows.P, rows.error),
                     rank(before.R, rows.generations, rows.optimum),
                 )
@@ -190,7 +190,7 @@ def correlations(study: Study) -> tuple[Correlations, ...]:
 
 
 def changes(study: Study) -> Iterator[Change]:
-    """Direct over indirect, orthogonalized over indirect and over direct; by scenario, strategy and kernel."""
+    """Direct over indirect, and orthogonalized over indirect and over direct, by scenario, strategy and kernel."""
     compared = (("direct", "indirect"), ("orthogonalized", "indirect"), ("orthogonalized", "direct"))
     for scenario, strategy, (one, other) in itertools.product(SCENARIOS, STRATEGIES, compared):
         found = pairs(study, scenario, one, other, strategy)
@@ -203,7 +203,7 @@ def changes(study: Study) -> Iterator[Change]:
 
 
 def write_tables(study: Study) -> None:
-    """Write fits.csv: every fit, in one table."""
+    """Write fits.csv: all fits in one table."""
     rows = [[row[name] for name in fits.COLUMNS] for row in fits.tables(study)]
     if rows:
         write_whole(study.out / "fits.csv", csv_text(fits.COLUMNS, rows))

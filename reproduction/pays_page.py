@@ -1,4 +1,4 @@
-"""The page's section on the fits: what was done, what came out in plain words, and the numbers."""
+"""The page's section on the fits: the method, the answers in plain sentences, and the numbers."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ NAMES = {"plane": "the plane", "face": "the sphere"}
 
 
 def section(study: Study) -> Iterable[str]:
-    """The lines of the section; a line instead where no fits are there."""
+    """The lines of the section; a single sentence if there are no fits."""
     yield "## Does it pay?"
     yield ""
     found = list(pays.correlations(study))
     if not found:
-        yield "The fits are not there: `scripts/reproduce --only fits` makes them."
+        yield "There are no fits: `scripts/reproduce --only fits` makes them."
         yield ""
         return
     yield from method(study)
@@ -31,12 +31,13 @@ def section(study: Study) -> Iterable[str]:
     yield from table(
         (
             *("scenario", "kernel", "strategy", "manipulation", "rank correlation of R with generations"),
-            *("the same, given the least error", "and of those that got there", "of P with the final error", "of all"),
-            *("median generations", "got there", "setups"),
+            *("the same, given the least error", "the same, converged fits only"),
+            *("of P with the final error, converged fits only", "of P with the final error, all fits"),
+            *("median generations", "converged", "setups"),
         ),
         (
             (
-                *(line.scenario, line.kind, line.strategy, line.manipulation, line.speed, line.given, line.there),
+                *(line.scenario, line.kind, line.strategy, line.manipulation, line.speed, line.given, line.converged),
                 *(line.reach, line.final),
                 *(f"{line.generations:,.0f}", f"{line.reached:.0%}", line.speed.setups),
             )
@@ -44,12 +45,12 @@ def section(study: Study) -> Iterable[str]:
         ),
     )
     yield ""
-    yield prose("""A dash: fewer than five fits got there, or R is 1 for all. Given the least error: a partial rank
-        correlation. A setup with a small least error has farther to go to within 5 % of it, and R and P are in
+    yield prose("""A dash: fewer than five fits converged, or R is 1 for all. Given the least error: a partial rank
+        correlation. A setup with a small least error needs longer to come within 5 % of it, and R and P are in
         conflict, so that a regular setup would seem fast for having little to do. The third correlation leaves out
-        the fits that were given up: what the cap alone makes is not in it, but neither are the slowest. The final
-        error is that of fits that got there, over the start's. On the plane it is (1 - P) times at most 1.05, so that
-        its correlation with P is no finding there; on the sphere, where closest points move, it is one.""")
+        the fits that were given up: it excludes the effect of the cap, but also the slowest fits. The final error is
+        relative to that of the start. For converged fits on the plane it is (1 - P) times at most 1.05, so that its
+        correlation with P is no finding there; on the sphere, where closest points move, it is one.""")
     yield ""
     yield from table(
         ("scenario", "kernel", "strategy", "generations of", "median ratio", "fewer on", "more on", "setups"),
@@ -62,8 +63,8 @@ def section(study: Study) -> Iterable[str]:
         ),
     )
     yield ""
-    yield prose("""Fits that were given up count the cap: where only the second one was, the ratio would be smaller
-        still, and where both were, it is unknown.""")
+    yield prose("""A fit that was given up counts as the cap: if only the second fit was given up, the true ratio is
+        smaller, and if both were, it is unknown.""")
     yield ""
 
 
@@ -71,9 +72,10 @@ def method(study: Study) -> Iterator[str]:
     """How the fits were made."""
     budget = study.budget
     count = len({(row["scenario"], row["kernel"], row["setup"]) for row in fits.tables(study)})
-    yield prose(f"""R and P are there to predict a later design optimization, so {count} setups were put through one: a
-        (25,100) evolution strategy starts from the undeformed design and moves the design parameters until the error of
-        its mean is within 5 % of the least one. There are two strategies, *isotropic* (only the step size adapts) and
+    yield prose(f"""R and P are meant to predict a later design optimization, so one was carried out with {count}
+        setups: a (25,100) evolution strategy starts from the undeformed design and moves the design parameters until
+        the error of its mean is within 5 % of the least one; the fit has then converged. There are two strategies,
+        *isotropic* (only the step size adapts) and
         *cmaes* (which learns the covariance too), and three manipulations: indirect, direct, and *orthogonalized*, U
         replaced by the thin Q of its QR decomposition: the same designs, R = 1.""")
     yield ""
@@ -88,25 +90,27 @@ def method(study: Study) -> Iterator[str]:
         turn end, a local one. The first offspring move the design by 0.3 of the wanted displacement, whatever the
         parameters are. R and P are those on the fitted mesh; with a smoothness term R = 1 is not quite a round bowl. A
         fit is given up after {budget.fit_generations[0]:,} generations (plane) or
-        {budget.fit_generations[1]:,} (sphere) and then counts as so many. Seeds of the strategies:
+        {budget.fit_generations[1]:,} (sphere), the cap, and then counts as that many. Seeds of the strategies:
         {budget.fit_seeds[0]}
         (plane), {budget.fit_seeds[1]} (sphere); medians over them. Every fit is a row of [fits.csv](fits.csv), made by
-        `scripts/reproduce --budget {budget.name} --only fits`; one like them, with a stream of its own and on the
+        `scripts/reproduce --budget {budget.name} --only fits`; a similar fit, with another random stream and on the
         run's own mesh: `python -m rbfevo.fit RUN --pick index:0 --manipulation direct --strategy isotropic`.
         Intervals are 95 %, by bootstrap over setups.""")
     yield ""
 
 
 def answers(found: list[Correlations], changes: list[Change]) -> Iterator[str]:
-    """What comes out, in plain words, each with its numbers."""
+    """The questions and their answers in plain sentences, with the numbers."""
     lines = {(line.scenario, line.strategy, line.manipulation): line for line in found if line.kind == ALL}
     ratios = {(line.scenario, line.strategy, line.one, line.other): line for line in changes if line.kind == ALL}
 
     def ranks(which: str, *key: str) -> str:
+        """One rank correlation of a strategy and manipulation on every scenario."""
         held = [(scenario, lines.get((scenario, *key))) for scenario in SCENARIOS]  # pyright: ignore[reportArgumentType]
         return ", ".join(f"{getattr(line, which)} on {NAMES[name]}" for name, line in held if line is not None)
 
     def change(*key: str) -> str:
+        """The ratio of generations of a strategy and two manipulations on every scenario."""
         held = [(scenario, ratios.get((scenario, *key))) for scenario in SCENARIOS]  # pyright: ignore[reportArgumentType]
         return ", ".join(
             f"{line.ratio:.2f} on {NAMES[name]} (fewer for {line.fewer:.0%} of the setups, more for {line.more:.0%})"
@@ -122,14 +126,14 @@ def answers(found: list[Correlations], changes: list[Change]) -> Iterator[str]:
             CMA-ES, indirect {ranks("speed", "cmaes", "indirect")}; CMA-ES, direct {ranks("speed", "cmaes", "direct")}.
             Given the least error, in the same order: {ranks("given", "isotropic", "indirect")};
             {ranks("given", "isotropic", "direct")}; {ranks("given", "cmaes", "indirect")};
-            {ranks("given", "cmaes", "direct")}. Of those alone that got there: {
-                ranks("there", "isotropic", "indirect")
-            }; {ranks("there", "isotropic", "direct")}; {ranks("there", "cmaes", "indirect")};
-            {ranks("there", "cmaes", "direct")}. {within(found)}""",
+            {ranks("given", "cmaes", "direct")}. Of the converged fits alone: {
+                ranks("converged", "isotropic", "indirect")
+            }; {ranks("converged", "isotropic", "direct")}; {ranks("converged", "cmaes", "indirect")};
+            {ranks("converged", "cmaes", "direct")}. {within(found)}""",
         ),
         (
             "Does P predict the final error?",
-            f"""Rank correlation over the fits that got there, orthogonalized, isotropic:
+            f"""Rank correlation over the converged fits, orthogonalized, isotropic:
             {ranks("reach", "isotropic", "orthogonalized")}. Over all fits, those given up included, indirect,
             isotropic: {ranks("final", "isotropic", "indirect")}; direct: {ranks("final", "isotropic", "direct")}. On
             the plane P is the least error, by definition.""",
@@ -158,7 +162,7 @@ def answers(found: list[Correlations], changes: list[Change]) -> Iterator[str]:
 
 
 def within(found: list[Correlations]) -> str:
-    """Where R predicts the generations among the setups of one kernel, by the signs of the intervals."""
+    """In which cases R predicts the generations among the setups of one kernel, by the signs of the intervals."""
     single = [line for line in found if line.kind != ALL and line.manipulation != "orthogonalized"]
     sure = [line for line in single if line.given.high < 0]
     names = ", ".join(f"{line.scenario} {line.kind} {line.manipulation} {line.strategy}" for line in sure)
@@ -168,7 +172,7 @@ def within(found: list[Correlations]) -> str:
 
 
 def verdict(lines: list[Correlations]) -> str:
-    """Whether regularity is worth searching for where U can be orthogonalized: what the sphere says."""
+    """Whether regularity is worth searching for if U can be orthogonalized, by the results on the sphere."""
     ranks = [line.original for line in lines if line.manipulation == "orthogonalized" and line.scenario == "face"]
     plane = """On the plane it could not be otherwise: there the error is a round bowl in the orthonormal parameters,
         so that the generations depend on P and on chance alone."""

@@ -1,4 +1,4 @@
-"""The runs that everything is drawn from: each one a command of rbfevo's own, done once, skipped when it is there."""
+"""The runs behind all figures and claims: each is one rbfevo command, carried out once and skipped when it is done."""
 
 from __future__ import annotations
 
@@ -18,69 +18,82 @@ PREFERENCES = tuple(i / 10 for i in range(11))
 POPULATION = 100
 GENERATIONS = 1_000  # the paper's, of CMA-ES
 FULL_PREFERENCES = (0.0, 0.5, 1.0)  # of the series `cmaes-full`
+ARGUMENTS = "arguments.json"  # in a run directory, written when its run is done
+FORMER_ARGUMENTS = "words.json"  # its name in directories of earlier versions
 
 
 class Task(NamedTuple):
-    """One run: a panel, a series and a seed, with the words that its command line has beside them.
+    """One run: a panel, a series and a seed, with further Hydra overrides.
 
-    A series is a method, or `cmaes-full`: CMA-ES with the paper's generations and fewer preferences, where the budget's
-    generations are fewer.
+    A series is a method, or `cmaes-full`: CMA-ES with the paper's generations and fewer preferences, if the budget has
+    fewer generations.
     """
 
     panel: Panel
     series: str
     seed: int
-    words: tuple[str, ...] = ()
+    overrides: tuple[str, ...] = ()
 
     @property
     def method(self) -> str:
-        """As on the command line."""
+        """The method's name on the command line."""
         return self.series.split("-")[0]
 
     def directory(self, out: Path) -> Path:
-        """Where its run directory lies."""
+        """The run directory."""
         return out / "runs" / self.panel.name / f"{self.series}-seed{self.seed}"
 
     @property
     def arguments(self) -> list[str]:
-        """The words of the command line, but for the directory."""
-        return [*self.panel.words, f"method={self.method}", *self.words, f"seed={self.seed}"]
+        """The command-line arguments, without the run directory."""
+        return [*self.panel.overrides, f"method={self.method}", *self.overrides, f"seed={self.seed}"]
 
     def done(self, out: Path) -> bool:
-        """Whether the run directory holds a whole run of these very words."""
+        """Whether the run directory holds a complete run with exactly these arguments."""
         directory = self.directory(out)
         try:
             summary = json.loads((directory / "summary.json").read_text())
-            held = json.loads((directory / "words.json").read_text())
         except (OSError, ValueError):
             return False
-        return summary.get("stop_reason") == "budget" and held == self.arguments
+        return summary.get("stop_reason") == "budget" and stored_arguments(directory) == self.arguments
 
     def carry_out(self, out: Path) -> int:
-        """Run it, from the start; return the exit code of the command."""
+        """Run it from the start; return the exit code of the command."""
         directory = self.directory(out)
-        shutil.rmtree(directory, ignore_errors=True)  # what an interruption left, or another budget
+        shutil.rmtree(directory, ignore_errors=True)  # remains of an interrupted run, or a run of another budget
         code = rbfevo([*self.arguments, "quiet=true", "figures=false", f"hydra.run.dir={directory}"])
         if code == 0:
-            (directory / "words.json").write_text(json.dumps(self.arguments))
+            (directory / ARGUMENTS).write_text(json.dumps(self.arguments))
         return code
 
 
+def stored_arguments(directory: Path) -> list[str] | None:
+    """The arguments that a run directory was made with, under either file name; None if they cannot be read."""
+    for name in (ARGUMENTS, FORMER_ARGUMENTS):
+        try:
+            return json.loads((directory / name).read_text())
+        except FileNotFoundError:
+            continue
+        except (OSError, ValueError):
+            return None
+    return None
+
+
 def tasks(budget: Budget, panels: tuple[Panel, ...] = PANELS) -> list[Task]:
-    """All runs of a budget but NSGA-II's, the quick ones first, one seed after the other."""
+    """All runs of a budget except NSGA-II's, the quick ones first, one seed after the other."""
     planned = []
     for seed in budget.seeds:
         for panel in panels:
-            own = budget.words(panel.scenario)
+            own = budget.overrides(panel.scenario)
             planned += [
                 Task(panel, "random", seed, (f"method.population={budget.random}", *own)),
                 Task(panel, "lloyd", seed, own),
             ]
-            if seed == budget.seeds[0]:  # OLS draws nothing
+            if seed == budget.seeds[0]:  # OLS is not random
                 planned.append(Task(panel, "ols", seed, own))
     for seed in budget.search_seeds:
         planned += [
-            Task(panel, "gradient", seed, (*budget.gradient, *budget.words(panel.scenario))) for panel in panels
+            Task(panel, "gradient", seed, (*budget.gradient, *budget.overrides(panel.scenario))) for panel in panels
         ]
         planned += [preferred(budget, panel, "cmaes", seed, budget.generations, PREFERENCES) for panel in panels]
     for name in budget.full:
@@ -95,57 +108,60 @@ def preferred(
 ) -> Task:
     """CMA-ES for some preferences."""
     listed = ",".join(str(preference) for preference in preferences)
-    words = (f"method.generations={generations}", f"preference=[{listed}]")
-    return Task(panel, series, seed, (*words, *budget.words(panel.scenario)))
+    overrides = (f"method.generations={generations}", f"preference=[{listed}]")
+    return Task(panel, series, seed, (*overrides, *budget.overrides(panel.scenario)))
 
 
 def fronts_directory(out: Path) -> Path:
-    """Where the fronts lie that the repository does not hold."""
+    """The directory of fronts that are not in the repository."""
     return out / "runs" / "fronts"
 
 
 def reference(panel: Panel, seed: int, budget: Budget, out: Path) -> Reference | None:
-    """The NSGA-II search whose front is there, the repository's first; None if there is none."""
-    words = budget.words(panel.scenario)
-    for directory in (fronts_directory(out),) if words else (COMMITTED, fronts_directory(out)):
-        held = Reference(panel, seed, directory, *words)
+    """The NSGA-II search of an existing front, preferably the repository's; None if there is no front."""
+    overrides = budget.overrides(panel.scenario)
+    for directory in (fronts_directory(out),) if overrides else (COMMITTED, fronts_directory(out)):
+        held = Reference(panel, seed, directory, *overrides)
         if held.csv(budget.evaluations).exists():
             return held
     return None
 
 
-def compute_front(panel: Panel, seed: int, budget: Budget, out: Path, say: Callable[[str], None]) -> None:
-    """Compute a front that is not there; goes on from a smaller budget's state, the repository's or its own."""
-    directory, words = fronts_directory(out), budget.words(panel.scenario)
+def compute_front(panel: Panel, seed: int, budget: Budget, out: Path, report: Callable[[str], None]) -> None:
+    """Compute a missing front, continuing from the state of a smaller budget in `out` or in the repository."""
+    directory, overrides = fronts_directory(out), budget.overrides(panel.scenario)
     directory.mkdir(parents=True, exist_ok=True)
-    own, committed = Reference(panel, seed, directory, *words), Reference(panel, seed)
-    if not own.path.exists() and committed.path.exists() and not words:
+    own, committed = Reference(panel, seed, directory, *overrides), Reference(panel, seed)
+    if not own.path.exists() and committed.path.exists() and not overrides:
         shutil.copyfile(committed.path, own.path)
-    own.compute(budget.evaluations // POPULATION - 1, say)
+    own.compute(budget.evaluations // POPULATION - 1, report)
 
 
-def carry_out(budget: Budget, out: Path, say: Callable[[str], None], panels: tuple[Panel, ...] = PANELS) -> int:
-    """Carry out the runs that are not there yet; return the first exit code that is not 0, or 0."""
+def carry_out(budget: Budget, out: Path, report: Callable[[str], None], panels: tuple[Panel, ...] = PANELS) -> int:
+    """Carry out the missing runs; return the first exit code that is not 0, or 0."""
     planned = tasks(budget, panels)
     missing = [task for task in planned if not task.done(out)]
-    say(f"{len(planned) - len(missing)} of {len(planned)} runs are there")
+    report(f"{len(planned) - len(missing)} of {len(planned)} runs are done")
     for task in missing:
-        say(f"python -m rbfevo {' '.join(task.arguments)}")
+        report(f"python -m rbfevo {' '.join(task.arguments)}")
         code = task.carry_out(out)
         if code != 0:
             return code
     return 0
 
 
-def carry_out_fronts(budget: Budget, out: Path, say: Callable[[str], None], panels: tuple[Panel, ...] = PANELS) -> int:
-    """Compute the fronts that are not there yet, if the budget does; say which are missing if it does not; return 0."""
+def carry_out_fronts(
+    budget: Budget, out: Path, report: Callable[[str], None], panels: tuple[Panel, ...] = PANELS
+) -> int:
+    """Compute the missing fronts, or report them if the budget does not compute fronts; return 0."""
     missing = [
         (panel, seed) for seed in budget.seeds for panel in panels if reference(panel, seed, budget, out) is None
     ]
-    say(f"{len(budget.seeds) * len(panels) - len(missing)} of {len(budget.seeds) * len(panels)} fronts are there")
+    count = len(budget.seeds) * len(panels)
+    report(f"{count - len(missing)} of {count} fronts are done")
     for panel, seed in missing:
         if budget.computes_fronts:
-            compute_front(panel, seed, budget, out, say)
+            compute_front(panel, seed, budget, out, report)
         else:
-            say(f"left out: scripts/fronts {panel.name} --seed {seed}")
+            report(f"left out: scripts/fronts {panel.name} --seed {seed}")
     return 0

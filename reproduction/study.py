@@ -1,4 +1,4 @@
-"""What figures and claims are made from: the setups of every method on every panel and seed, read from the disk."""
+"""The results behind figures and claims: the setups of every method on every panel and seed, read from disk."""
 
 from __future__ import annotations
 
@@ -48,34 +48,35 @@ class Setups(NamedTuple):
 
     @property
     def front(self) -> Setups:
-        """The nondominated ones, by rising regularity, of equal ones the first."""
+        """The nondominated setups by ascending regularity, the first of equal ones."""
         _, first = np.unique(self.objectives, axis=0, return_index=True)  # sorted by R, then P
         kept = nondominated(torch.from_numpy(self.objectives[first])).numpy()
         return self[first[kept]]
 
     @property
     def most_regular(self) -> int:
-        """The setup of best R, of equal ones that of better P."""
+        """The setup of best R; ties are resolved by better P."""
         return int(np.lexsort((-self.improvement_potential, -self.regularity))[0])
 
     @property
     def most_improvable(self) -> int:
-        """The setup of best P, of equal ones that of better R."""
+        """The setup of best P; ties are resolved by better R."""
         return int(np.lexsort((-self.regularity, -self.improvement_potential))[0])
 
     def __getitem__(self, rows: Any) -> Any:
-        """Some of the setups where `rows` is an array; a field where it is a number, as in every tuple."""
+        """Some of the setups if `rows` is an array; a field if it is a number, as in every tuple."""
         if isinstance(rows, int | slice):
             return tuple.__getitem__(self, rows)
         return Setups(*(field[rows] for field in self))
 
 
 class Study:
-    """The results that lie in a directory of `scripts/reproduce`; series that are not there are None.
+    """The results in a directory of `scripts/reproduce`; missing series are None.
 
     Attributes:
         out: the directory.
-        budget: what was spent.
+        budget: of the results.
+        facts: the contents of study.json.
     """
 
     def __init__(self, out: Path) -> None:
@@ -89,11 +90,12 @@ class Study:
 
     @functools.cache  # noqa: B019 - one study a process
     def setups(self, panel: Panel, method: str, seed: int) -> Setups | None:
-        """The setups of one method; None where that run is not there. OLS has seed 0 alone."""
+        """The setups of one method; None if that run is missing. OLS has only seed 0."""
         if method == "nsga2":
             return self._front(panel, seed)
         path = self.directory(panel, method, seed) / "setups.npz"
-        if not all((path.parent / name).exists() for name in (path.name, "words.json", "summary.json")):
+        arguments = any((path.parent / name).exists() for name in (runs.ARGUMENTS, runs.FORMER_ARGUMENTS))
+        if not arguments or not all((path.parent / name).exists() for name in (path.name, "summary.json")):
             return None
         with np.load(path, allow_pickle=False) as file:
             rows = file["method"] == method.split("-")[0]
@@ -104,7 +106,7 @@ class Study:
         return runs.Task(panel, method, seed).directory(self.out)
 
     def summary(self, panel: Panel, method: str, seed: int) -> dict[str, Any] | None:
-        """`summary.json` of one run; None where it is not there."""
+        """`summary.json` of one run; None if it is missing."""
         path = self.directory(panel, method, seed) / "summary.json"
         return json.loads(path.read_text()) if path.exists() else None
 
@@ -118,7 +120,7 @@ class Study:
         return Setups(centers, objectives[:, 0], objectives[:, 1], nothing, nothing)
 
     def front_seconds(self, panel: Panel, seed: int) -> float | None:
-        """Seconds of processor that NSGA-II's front took; None where it is not there."""
+        """The processor seconds of NSGA-II's front; None if it is missing."""
         held = runs.reference(panel, seed, self.budget, self.out)
         if held is None:
             return None
@@ -127,7 +129,7 @@ class Study:
         return float(facts["processor_seconds"])
 
     def seeds(self, panel: Panel, *methods: str) -> list[int]:
-        """The seeds for which all of these methods are there; OLS counts for every seed."""
+        """The seeds for which the runs of all these methods exist; OLS counts for every seed."""
         wanted = [method for method in methods if method != "ols"]
         if "ols" in methods and self.setups(panel, "ols", 0) is None:
             return []
@@ -136,16 +138,16 @@ class Study:
         ]
 
     def each(self, panels: tuple[Panel, ...], *methods: str) -> Iterator[tuple[Panel, int, list[Setups]]]:
-        """Panel, seed and the setups of these methods, wherever all of them are there."""
+        """Panel, seed and the setups of these methods, wherever the runs of all of them exist."""
         for panel in panels:
             for seed in self.seeds(panel, *methods):
                 yield panel, seed, [self.held(panel, name, 0 if name == "ols" else seed) for name in methods]
 
     def held(self, panel: Panel, method: str, seed: int) -> Setups:
-        """As `setups`.
+        """The setups of one method, as `setups` returns them.
 
         Raises:
-            UserError: if that run is not there.
+            UserError: if that run is missing.
         """
         found = self.setups(panel, method, seed)
         if found is None:
@@ -154,12 +156,12 @@ class Study:
 
     @functools.cache  # noqa: B019
     def scenario(self, name: str) -> Scenario:
-        """The scenario itself, at the size that every run has."""
+        """The scenario, at the size used by every run."""
         panel = next(panel for panel in PANELS if panel.scenario == name)
-        return build(panel.settings("method=lloyd", *self.budget.words(name)).scenario)
+        return build(panel.settings("method=lloyd", *self.budget.overrides(name)).scenario)
 
     def table(self, name: str) -> list[dict[str, str]]:
-        """A table of the directory, such as `fits.csv`; empty where it is not there."""
+        """A table of the directory, such as `fits.csv`; empty if it is missing."""
         path = self.out / name
         if not path.exists():
             return []
@@ -168,7 +170,7 @@ class Study:
 
 
 def kernel_of(panel: Panel) -> str:
-    """Such as `wendland-0.5`: what the paper calls a kernel."""
+    """The paper's kernel of a panel, such as `wendland-0.5`."""
     return panel.name.split("-", 1)[1].rsplit("-", 1)[0]
 
 
@@ -180,7 +182,8 @@ def panels_of(
     `local` is Wendland's kernel of the smaller support radius on each scenario, `wide` that of the larger one.
     """
 
-    def fits(panel: Panel) -> bool:
+    def matches(panel: Panel) -> bool:
+        """Whether a panel has the scenario, kernel and manipulation."""
         position = KERNELS[panel.scenario].index(kernel_of(panel))
         kinds = (("wendland", "local"), ("wendland", "wide"), ("triharmonic",))[position]
         return (
@@ -189,4 +192,4 @@ def panels_of(
             and (kernel is None or kernel in kinds)
         )
 
-    return tuple(panel for panel in PANELS if fits(panel))
+    return tuple(panel for panel in PANELS if matches(panel))

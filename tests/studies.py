@@ -77,7 +77,7 @@ def put(out: Path, panel: Panel, method: str, seed: int, setups: Setups, budget:
     storage.write_whole(directory / "setups.npz", storage.npz(table))
     summary = {"stop_reason": "budget", "seconds": 2.0, "evaluations": 400}
     (directory / "summary.json").write_text(json.dumps(summary))
-    (directory / "words.json").write_text(json.dumps(task.arguments))
+    (directory / runs.ARGUMENTS).write_text(json.dumps(task.arguments))
 
 
 def full_study(out: Path, monkeypatch: pytest.MonkeyPatch) -> Study:

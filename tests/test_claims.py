@@ -146,4 +146,4 @@ def test_setups_know_their_front_and_its_ends() -> None:
     setups = Setups(centers, R, P, R, R)
     np.testing.assert_array_equal(setups.front.objectives, [[0.1, 0.8], [0.5, 0.7], [0.9, 0.1]])
     assert (setups.most_regular, setups.most_improvable) == (3, 0)
-    assert TINY.words("plane") == TINY.plane
+    assert TINY.overrides("plane") == TINY.plane

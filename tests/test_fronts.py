@@ -23,7 +23,7 @@ PANEL = PANELS[0]
 
 
 def quiet(_: str) -> None:
-    """Say nothing."""
+    """Print nothing."""
 
 
 def test_a_stopped_reference_goes_on_bit_for_bit(tmp_path: Path) -> None:
@@ -51,7 +51,7 @@ def test_a_stopped_reference_goes_on_bit_for_bit(tmp_path: Path) -> None:
 def test_missing_fronts_and_unknown_panels_are_named(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=f"scripts/fronts {PANEL.name}"):
         reference_front(PANEL, 1, 0, tmp_path)
-    with pytest.raises(UserError, match="no panel is called so; there are plane"):
+    with pytest.raises(UserError, match="no panel has this name; choose from plane"):
         chosen(["nowhere"])
     assert len(chosen([])) == 12
     assert [panel.name for panel in chosen(["face-triharmonic"])] == [
@@ -74,13 +74,13 @@ def test_every_panel_has_its_reference_front(panel: Panel) -> None:
 
 
 def test_rows_of_the_benchmark(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    words = ("scenario.resolution=[16,16]", "centers=4", "method.starts=16", "method.population=16")
-    words += ("method.generations=6", "method.polish=2", "evaluator=eager")
-    rows = list(bench_fronts.one_front(PANEL, 0, *words))
+    overrides = ("scenario.resolution=[16,16]", "centers=4", "method.starts=16", "method.population=16")
+    overrides += ("method.generations=6", "method.polish=2", "evaluator=eager")
+    rows = list(bench_fronts.one_front(PANEL, 0, *overrides))
     assert [row.name.strip() for row in rows] == [PANEL.name, "hypervolume", "best R", "best P"]
     assert all(row.ratio is not None and row.met is not None for row in rows[1:])
     monkeypatch.setattr(bench_fronts, "DIRECTORY", tmp_path)
-    rows = list(bench_fronts.one_front(PANEL, 0, *words))
+    rows = list(bench_fronts.one_front(PANEL, 0, *overrides))
     assert [row.peer for row in rows[1:]] == [None] * 3
 
 

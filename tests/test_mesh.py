@@ -265,14 +265,14 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("settings", "said"), MISTAKES, ids=[said for _, said in MISTAKES])
+@pytest.mark.parametrize(("settings", "message"), MISTAKES, ids=[message for _, message in MISTAKES])
 def test_mistakes_are_said_in_one_line(
-    folder: Path, settings: dict[str, Any], said: str, monkeypatch: pytest.MonkeyPatch
+    folder: Path, settings: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
     with pytest.raises(UserError) as caught:
         mesh(template=str(folder / "ball.vtp"), **settings)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 

@@ -1,4 +1,4 @@
-"""`scripts/reproduce`: runs that are done once, fronts, fits, and what can be wrong with its words."""
+"""`scripts/reproduce`: runs that are carried out once, fronts, claims, and mistakes on its command line."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 import pytest
-from studies import TINY, began
+from studies import TINY, began, full_study
 
 from benchmarks.panels import PANELS
 from reproduction import __main__ as command
@@ -34,15 +34,15 @@ def test_every_budget_plans_every_series() -> None:
 
 
 def test_runs_are_carried_out_once(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[str] = []
+    lines: list[str] = []
     panels = PANELS[:1]
-    assert runs.carry_out(SMALL, out, said.append, panels) == 0
-    assert said[0] == "0 of 5 runs are there"
-    assert len(said) == 6
-    said.clear()
-    monkeypatch.setattr(runs, "rbfevo", lambda words: pytest.fail("it was there"))
-    assert runs.carry_out(SMALL, out, said.append, panels) == 0
-    assert said == ["5 of 5 runs are there"]
+    assert runs.carry_out(SMALL, out, lines.append, panels) == 0
+    assert lines[0] == "0 of 5 runs are done"
+    assert len(lines) == 6
+    lines.clear()
+    monkeypatch.setattr(runs, "rbfevo", lambda arguments: pytest.fail("it was done"))
+    assert runs.carry_out(SMALL, out, lines.append, panels) == 0
+    assert lines == ["5 of 5 runs are done"]
 
     study = Study(out)
     assert study.held(panels[0], "cmaes", 0).preference.tolist() == [i / 10 for i in range(11)]
@@ -51,9 +51,9 @@ def test_runs_are_carried_out_once(out: Path, monkeypatch: pytest.MonkeyPatch) -
 
     # another budget's run, and one that was interrupted, are carried out again
     asked: list[list[str]] = []
-    monkeypatch.setattr(runs, "rbfevo", lambda words: asked.append(words) or 143)
+    monkeypatch.setattr(runs, "rbfevo", lambda arguments: asked.append(arguments) or 143)
     other = SMALL._replace(generations=3)
-    assert runs.carry_out(other, out, said.append, panels) == 143
+    assert runs.carry_out(other, out, lines.append, panels) == 143
     assert [word for word in asked[0] if "generations" in word] == ["method.generations=3"]
     task = runs.tasks(SMALL, panels)[1]
     summary = task.directory(out) / "summary.json"
@@ -61,12 +61,35 @@ def test_runs_are_carried_out_once(out: Path, monkeypatch: pytest.MonkeyPatch) -
     assert not task.done(out)
 
 
+def test_arguments_are_read_under_their_former_file_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    study = full_study(tmp_path, monkeypatch)
+    task = runs.tasks(study.budget)[0]
+    directory = task.directory(tmp_path)
+    current, former = directory / "arguments.json", directory / "words.json"
+    assert runs.stored_arguments(directory) == task.arguments
+    current.rename(former)
+    assert runs.stored_arguments(directory) == task.arguments
+    assert task.done(tmp_path)
+    assert Study(tmp_path).setups(task.panel, task.series, task.seed) is not None
+    former.write_text("[]")
+    assert not task.done(tmp_path)
+    current.write_text(json.dumps(task.arguments))  # takes precedence
+    assert task.done(tmp_path)
+    current.write_text("not JSON")
+    assert runs.stored_arguments(directory) is None
+    current.unlink()
+    former.unlink()
+    assert runs.stored_arguments(directory) is None
+    assert not task.done(tmp_path)
+    assert Study(tmp_path).setups(task.panel, task.series, task.seed) is None
+
+
 def test_fronts_are_computed_where_the_budget_says_so(out: Path) -> None:
-    said: list[str] = []
-    assert runs.carry_out_fronts(SMALL._replace(computes_fronts=False), out, said.append, PANELS[:1]) == 0
-    assert "left out: scripts/fronts" in said[1]
+    lines: list[str] = []
+    assert runs.carry_out_fronts(SMALL._replace(computes_fronts=False), out, lines.append, PANELS[:1]) == 0
+    assert "left out: scripts/fronts" in lines[1]
     assert Study(out).setups(PANELS[0], "nsga2", 0) is None
-    assert runs.carry_out_fronts(SMALL, out, said.append, PANELS[:1]) == 0
+    assert runs.carry_out_fronts(SMALL, out, lines.append, PANELS[:1]) == 0
     study = Study(out)
     front = study.held(PANELS[0], "nsga2", 0)
     assert front.centers.shape == (100, 5, 2)
@@ -81,23 +104,23 @@ def test_committed_fronts_are_used_where_they_fit() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "answer"),
+    ("arguments", "message"),
     [
         (["--budget", "huge"], "choose one of quick, medium, paper"),
-        (["no-such-panel"], "no panel is called so"),
-        (["--claim", "nothing", "--out", "OUT"], "there is no such claim; there are"),
+        (["no-such-panel"], "no panel has this name"),
+        (["--claim", "nothing", "--out", "OUT"], "there is no such claim; choose from"),
         (["--claim", "smooth", "--out", "missing"], "make it with scripts/reproduce"),
-        (["--out", "OUT", "--budget", "quick"], "holds --budget tiny"),
+        (["--out", "OUT", "--budget", "quick"], "is of --budget tiny"),
         (["--out", "OUT", "--budget", "tiny", "--only", "claims"], "has no runs to measure claims on"),
         (["--out", "OUT", "--claim", "smooth"], "has no runs to measure claims on"),
         (["--out", "OUT", "--claim", "smooth", "plane"], "takes all panels"),
     ],
 )
-def test_mistakes_get_one_line(out: Path, words: list[str], answer: str, capsys, monkeypatch) -> None:
+def test_mistakes_get_one_line(out: Path, arguments: list[str], message: str, capsys, monkeypatch) -> None:
     monkeypatch.chdir(out.parent)
-    assert command.main([word.replace("OUT", str(out)) for word in words]) == 2
+    assert command.main([argument.replace("OUT", str(out)) for argument in arguments]) == 2
     captured = capsys.readouterr()
-    assert answer in captured.err
+    assert message in captured.err
     assert len(captured.err.splitlines()) == 1
 
 

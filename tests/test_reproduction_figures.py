@@ -1,4 +1,4 @@
-"""The paper's figures, drawn from small studies: what they show, say, leave out, and how they fail."""
+"""The paper's figures, drawn from small studies: their content, their captions, missing series, and failures."""
 
 from __future__ import annotations
 
@@ -91,12 +91,12 @@ def test_captions_name_seeds_budget_and_what_is_missing(study: Study) -> None:
     assert list(captions) == [f"{figure}.png" for figure in figures.FIGURES]
     for caption in captions.values():
         assert caption.endswith(" Made by scripts/reproduce --budget tiny.")
-    for words in ("seed 0", "reference point (0, 0)", study.budget.in_words, "gradient search 400 "):
-        assert words in captions["figure3.png"]
+    for text in ("seed 0", "reference point (0, 0)", study.budget.description, "gradient search 400 "):
+        assert text in captions["figure3.png"]
     assert "Not there: gradient search (triharmonic r² log r direct); CMA-ES." in captions["figure3.png"]
     assert "Not there" not in captions["figure6.png"]
-    for words in ("NSGA-II (seeds 0, 1)", "gradient search (seeds 0, 1, not on every panel)", "Not there: CMA-ES."):
-        assert words in captions["figure4.png"]
+    for text in ("NSGA-II (seeds 0, 1)", "gradient search (seeds 0, 1, not on every panel)", "Not there: CMA-ES."):
+        assert text in captions["figure4.png"]
     assert "CMA-ES (seeds 0, 1)" in captions["figure4-face.png"]
     assert "Not there: OLS." in figures.captions(without(study, "ols"))["figure7.png"]
 
@@ -182,10 +182,10 @@ def test_the_target_is_the_scan_that_the_sphere_is_to_become() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "words"), [(0.98375, "0.9838"), (0.0, "0.0000"), (0.003427, "3.43·10⁻³"), (2.33e-6, "2.33·10⁻⁶")]
+    ("value", "text"), [(0.98375, "0.9838"), (0.0, "0.0000"), (0.003427, "3.43·10⁻³"), (2.33e-6, "2.33·10⁻⁶")]
 )
-def test_numbers_are_short(value: float, words: str) -> None:
-    assert wording.number(value) == words
+def test_numbers_are_short(value: float, text: str) -> None:
+    assert wording.number(value) == text
 
 
 def test_what_is_no_study_is_one_clear_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -76,10 +76,10 @@ def test_an_interruption_ends_the_run_after_the_step(
     before = signal.getsignal(number)
     step = run.Method.records
 
-    def interrupted(self, generation: int, *rest):
+    def interrupted(self, generation: int, *arguments):
         if self.name == "nsga2" and generation == 2:
             signal.raise_signal(number)
-        return step(self, generation, *rest)
+        return step(self, generation, *arguments)
 
     monkeypatch.setattr(run.Method, "records", interrupted)
     assert run.carry_out(settings("panel"), tmp_path) == code

@@ -42,18 +42,18 @@ def test_a_sound_closed_surface_needs_no_word():
 
 def test_open_boundary():
     vertices, triangles = strip(twisted=False)
-    said = topology.words(vertices, triangles)
-    assert said == {"open boundary": "40 of 80 edges belong to one triangle only"}
+    findings = topology.words(vertices, triangles)
+    assert findings == {"open boundary": "40 of 80 edges belong to one triangle only"}
 
 
 def test_non_manifold_edges():
-    said = topology.words(FAN, np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]))
-    assert said["non-manifold edges"].startswith("1 of 7 edges")
+    findings = topology.words(FAN, np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]))
+    assert findings["non-manifold edges"].startswith("1 of 7 edges")
 
 
 def test_pieces():
-    said = topology.words(*parts(ball(), ball(10.0), (np.asarray(BOX.vertices) + 50.0, BOX.faces)))
-    assert said == {"pieces": f"3 pieces that share no vertex; the largest has {len(BALL.vertices)} vertices"}
+    findings = topology.words(*parts(ball(), ball(10.0), (np.asarray(BOX.vertices) + 50.0, BOX.faces)))
+    assert findings == {"pieces": f"3 pieces that share no vertex; the largest has {len(BALL.vertices)} vertices"}
 
 
 def test_winding():
@@ -67,8 +67,8 @@ def test_winding():
 
 def test_inside_out():
     vertices, triangles = ball()
-    said = topology.words(*parts((vertices + 1e4, triangles[:, ::-1]), ball(-50.0)))
-    assert said["inside out"] == "1 of 2 closed pieces have their normals inside"
+    findings = topology.words(*parts((vertices + 1e4, triangles[:, ::-1]), ball(-50.0)))
+    assert findings["inside out"] == "1 of 2 closed pieces have their normals inside"
     vertices, triangles = strip(twisted=False)
     assert "inside out" not in topology.words(vertices, triangles[:, ::-1])
 

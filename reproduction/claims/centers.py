@@ -13,7 +13,7 @@ from reproduction.study import SEARCHES, Array, Setups, Study, panels_of
 
 
 def best_setup(study: Study, panel: Panel, seed: int, criterion: str) -> tuple[Array, str] | None:
-    """Centers [m, d] of the best setup of any search by `regularity` or `improvement_potential`, and the search."""
+    """Centers [m, d] of the best setup of all searches by `regularity` or `improvement_potential`, and the search."""
     found: list[tuple[float, Array, str]] = []
     for method in SEARCHES:
         setups = study.setups(panel, method, seed)
@@ -27,7 +27,7 @@ def best_setup(study: Study, panel: Panel, seed: int, criterion: str) -> tuple[A
 
 
 def best_setups(study: Study, panels: tuple[Panel, ...], criterion: str) -> Iterator[tuple[Panel, int, Array]]:
-    """Panel, seed and centers of the best setup of any search."""
+    """Panel, seed and centers of the best setup of all searches."""
     for panel in panels:
         for seed in study.budget.seeds:
             found = best_setup(study, panel, seed, criterion)

@@ -1,4 +1,4 @@
-"""A claim of the paper, the cases that it is measured on, and the verdict that follows from them by one rule."""
+"""A claim of the paper, the cases that it is measured on, and the verdict that one rule derives from them."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from reproduction.study import Study
 
 HOLDS, IN_PART, FAILS, UNTESTED = "holds", "holds in part", "does not hold here", "cannot be tested"
 PLURAL = {HOLDS: "hold", IN_PART: "hold in part", FAILS: "do not hold here", UNTESTED: "cannot be tested"}
-MOST, FEW = 0.9, 1 / 3  # shares of the cases: from MOST on a claim holds, below FEW it does not
+MOST, FEW = 0.9, 1 / 3  # shares of the places: from MOST on a claim holds, below FEW it does not
 
 
 class Case(NamedTuple):
-    """One value: where (a panel, or words), with which seed (None for all together), and whether it is as claimed.
+    """One value: its place (a panel or a label), its seed (None for all together), and whether it is as claimed.
 
-    What only stands beside the claim, to compare with, does not count.
+    `counts` is False for values that are only listed for comparison.
     """
 
     where: str
@@ -28,7 +28,7 @@ class Case(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """What came out for a claim: cases, verdict, why in one sentence, and in how many of how many places it is met."""
+    """The result for a claim: cases, verdict, the reason in one sentence, and how many of all places meet it."""
 
     cases: tuple[Case, ...]
     verdict: str
@@ -44,12 +44,12 @@ class Claim:
     Attributes:
         key: a short name, unique, for the command line and the tables.
         section: of the paper.
-        statement: what is claimed, in our words.
+        statement: what is claimed, paraphrased.
         quantity: what is measured, with its definition.
         criterion: which values count as fulfilled.
         methods: the runs that it is measured on.
-        measure: study -> cases; none if nothing that it needs is there.
-        because: for a verdict that was seen, why it is so.
+        measure: study -> cases; none if all results that it needs are missing.
+        because: explanations by the verdict that they explain.
     """
 
     key: str
@@ -62,7 +62,7 @@ class Claim:
     because: Mapping[str, str]
 
     def find(self, study: Study) -> Finding:
-        """Measure it."""
+        """Measure the claim."""
         cases = tuple(self.measure(study))
         places = votes(cases)
         if not places:
@@ -78,7 +78,7 @@ class Claim:
 
 
 def votes(cases: Iterable[Case]) -> dict[str, bool]:
-    """Whether each place meets the criterion, with most of its seeds: one vote a place, however many seeds it has."""
+    """Whether most seeds of each place meet the criterion: every place has one vote, whatever its number of seeds."""
     seeds: dict[str, list[bool]] = {}
     for case in cases:
         if case.counts:
@@ -87,7 +87,7 @@ def votes(cases: Iterable[Case]) -> dict[str, bool]:
 
 
 def listed(places: list[str]) -> str:
-    """Places in words."""
+    """Up to six places, and the number of the others."""
     return "; ".join(places[:6]) + (f"; and {len(places) - 6} more" if len(places) > 6 else "")
 
 
@@ -100,9 +100,10 @@ def claim(
     methods: tuple[str, ...],
     because: Mapping[str, str] | None = None,
 ) -> Callable[[Callable[[Study], Iterable[Case]]], Claim]:
-    """Make a claim of the function that measures it."""
+    """Make a claim of the function that measures it; `statement` and `quantity` serve as that function's docstring."""
 
-    def made(measure: Callable[[Study], Iterable[Case]]) -> Claim:
+    def decorate(measure: Callable[[Study], Iterable[Case]]) -> Claim:
+        """The claim measured by a function."""
         return Claim(key, section, statement, prose(quantity), criterion, methods, measure, because or {})
 
-    return made
+    return decorate

@@ -79,10 +79,10 @@ def lloyd_beats_random(study: Study) -> Iterator[Case]:
 )
 def lloyd_beats_optimizers(study: Study) -> Iterator[Case]:
     panels = panels_of("face", "triharmonic", "direct")
-    for series, words in (("cmaes", ""), ("cmaes-full", ", CMA-ES with 1,000 generations")):
+    for series, suffix in (("cmaes", ""), ("cmaes-full", ", CMA-ES with 1,000 generations")):
         for panel, seed, (lloyd, front, preferred) in study.each(panels, "lloyd", "nsga2", series):
             value = float(lloyd.regularity[0] / max(front.regularity.max(), preferred.regularity.max()))
-            yield Case(f"{panel.name}{words}", seed, value, value > 1)
+            yield Case(f"{panel.name}{suffix}", seed, value, value > 1)
 
 
 @claim(
@@ -133,7 +133,7 @@ def lloyd_robust(study: Study) -> Iterator[Case]:
 
 
 def ols_to_front(study: Study, panels: tuple[Panel, ...]) -> Iterator[Case]:
-    """P that NSGA-II's front has over OLS, among its setups of at least OLS's R (negative: OLS is beyond the front)."""
+    """The P that OLS lacks to NSGA-II's front, among setups of at least OLS's R (negative: OLS is beyond the front)."""
     for panel, seed, (ols, front) in study.each(panels, "ols", "nsga2"):
         lost = measures.best_given(front.objectives, ols.objectives[0], gained=1) - float(ols.improvement_potential[0])
         yield Case(panel.name, seed, float(lost), lost <= 0.01)

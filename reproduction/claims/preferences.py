@@ -16,7 +16,7 @@ NEAR = 0.05  # of the range of f on the front
 
 
 def is_exception(panel: Panel) -> bool:
-    """Whether it is the panel that the paper excepts: triharmonic kernel, sphere."""
+    """Whether the paper excepts the panel: triharmonic kernel on the sphere."""
     return panel.scenario == "face" and panel.kernel == "triharmonic"
 
 
@@ -26,8 +26,8 @@ def full(study: Study) -> str:
 
 
 def gains(study: Study, series: str, rival: str = "nsga2") -> Iterator[tuple[Panel, int, Array]]:
-    """What CMA-ES reaches of eq. 9 for each preference, less the best that the rival's front holds for it, over the
-    range of f on that front."""
+    """The f of eq. 9 that CMA-ES reaches for each preference, less the best f on the rival's front, over the range of f
+    on that front."""
     for panel, seed, (found, front) in study.each(panels_of(), series, rival):
         preference = found.preference
         reached = preference * found.regularity + (1 - preference) * found.improvement_potential

@@ -18,7 +18,7 @@ from reproduction.claims.claim import Case, Claim, claim
 from reproduction.study import SCENARIOS, Array, Setups, Study, kernel_of, panels_of
 
 
-def both(study: Study, *methods: str) -> Iterator[tuple[str, int, str, Setups, Setups]]:
+def by_manipulation(study: Study, *methods: str) -> Iterator[tuple[str, int, str, Setups, Setups]]:
     """Scenario and kernel, seed, method, and its setups for indirect and for direct manipulation."""
     for panel in panels_of(manipulation="indirect"):
         other = panel._replace(manipulation="direct")
@@ -29,9 +29,9 @@ def both(study: Study, *methods: str) -> Iterator[tuple[str, int, str, Setups, S
 
 
 def from_matrices(study: Study, panel: Panel, centers: Array) -> tuple[Array, Array]:
-    """V and P [2, p] of setups [p, m, d], from U = Phi and from U = Phi Psi^-1 themselves, with NumPy.
+    """V and P [2, p] of setups [p, m, d], computed by NumPy from U = Phi and from U = Phi Psi^-1.
 
-    rbfevo's own scores take V and P of Phi whatever the manipulation, so they cannot disagree.
+    rbfevo's own scores compute V and P from Phi for both manipulations, so they cannot disagree.
     """
     scenario = study.scenario(panel.scenario)
     kernel = build(panel.settings("method=lloyd").kernel, scenario.vertices.shape[1], scenario.support)
@@ -117,7 +117,7 @@ def rank(study: Study) -> Iterator[Case]:
 
 
 def by_kernel(study: Study, score: str) -> Iterator[tuple[str, int, list[float]]]:
-    """Scenario, manipulation and what is compared; seed; its values for the local, the wide and the global kernel."""
+    """Scenario, manipulation and reduction; seed; the reduced score for the local, the wide and the global kernel."""
     for scenario in SCENARIOS:
         for manipulation in ("indirect", "direct"):
             panels = [panels_of(scenario, kernel, manipulation)[0] for kernel in ("local", "wide", "triharmonic")]
@@ -177,10 +177,10 @@ def global_potential(study: Study) -> Iterator[Case]:
     ("random", "nsga2"),
 )
 def direct_regular(study: Study) -> Iterator[Case]:
-    for where, seed, _, indirect, direct in both(study, "random"):
+    for where, seed, _, indirect, direct in by_manipulation(study, "random"):
         share = float((direct.regularity > indirect.regularity).mean())
         yield Case(f"{where} random, share", seed, share, share >= 0.9)
-    for where, seed, _, indirect, direct in both(study, "nsga2"):
+    for where, seed, _, indirect, direct in by_manipulation(study, "nsga2"):
         ratio = float(direct.regularity.max() / indirect.regularity.max())
         yield Case(f"{where} front, ratio", seed, ratio, ratio > 1)
 

@@ -12,7 +12,7 @@ HOUR = 3600.0
 
 
 def seconds(study: Study, method: str) -> Iterator[tuple[str, int, float, int]]:
-    """Panel, seed, seconds of search and evaluations of a method's runs."""
+    """Panel, seed, search seconds and evaluations of a method's runs."""
     for panel in panels_of():
         for seed in study.seeds(panel, method):
             summary = study.summary(panel, method, seed)

@@ -1,4 +1,4 @@
-"""The paper's figures 1 to 7, drawn from the results in a directory of `scripts/reproduce`; no import of matplotlib."""
+"""The paper's figures 1 to 7, drawn from the results of `scripts/reproduce`; does not import matplotlib."""
 
 from reproduction.figures.processes import draw
 from reproduction.figures.wording import FIGURES, captions

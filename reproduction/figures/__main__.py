@@ -18,12 +18,12 @@ TABLES = ("figure4", "figure4-face", "figure5", "figure5-face", "figure7", "figu
 
 
 def draw_here(study: Study, figure: str, opengl: bool) -> None:
-    """Draw one figure in this process, and write the centers that it shows to `centers/`.
+    """Draw one figure in this process, and write the centers that it shows into `centers/`.
 
     Raises:
         UserError: if a result cannot be read, or a picture or table cannot be written.
     """
-    # matplotlib takes a while: only once there is something to draw
+    # Importing matplotlib takes a while, so it waits until there is something to draw.
     from reproduction.figures import fitted, fronts, functions, layout, setups, shapes
 
     caption = captions(study)[f"{figure}.png"]
@@ -45,10 +45,10 @@ def draw_here(study: Study, figure: str, opengl: bool) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Draw what the command line asks for and return the exit code."""
+    """Draw the figures of the command line and return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m reproduction.figures", description="Draw the paper's figures.")
     parser.add_argument("out", type=Path, help="a directory of scripts/reproduce")
-    parser.add_argument("--only", choices=FIGURES, help="draw one figure, in this very process")
+    parser.add_argument("--only", choices=FIGURES, help="draw one figure, in this process")
     parser.add_argument("--no-opengl", action="store_true", help="draw surfaces without OpenGL")
     options = parser.parse_args(arguments)
     try:

@@ -1,4 +1,4 @@
-"""The setups that figures 1, 4, 5 and 7 show, chosen from all that a study holds, and the tables of their centers."""
+"""The setups shown by figures 1, 4, 5 and 7, chosen from all results of a study, and the tables of their centers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from reproduction.study import KINDS, SEARCHES, Setups, Study, panels_of
 
 
 class Exhibit(NamedTuple):
-    """A setup that a figure shows: where it was found, what it was chosen for, centers [m, d], R, P, preference."""
+    """A setup that a figure shows: its run, the criterion of its choice, centers [m, d], R, P, preference."""
 
     panel: Panel
     method: str
@@ -30,12 +30,12 @@ class Exhibit(NamedTuple):
 
 
 def most_regular(study: Study, panel: Panel) -> Exhibit | None:
-    """The setup of best regularity that any search has found on a panel, of equal ones the better; None without any."""
+    """The setup of best regularity (ties: best P) that any search has found on a panel; None without any search."""
     return _best(_found(study, (panel,), SEARCHES, "regularity"), "regularity", "improvement_potential")
 
 
 def most_improvable(study: Study, scenario: str, kind: str) -> Exhibit | None:
-    """The setup of best improvement potential that any search has found for a kernel, whatever the manipulation."""
+    """The setup of best improvement potential that any search has found for a kernel, over both manipulations."""
     found = _found(study, panels_of(scenario, kind), SEARCHES, "improvement potential")
     return _best(found, "improvement_potential", "regularity")
 
@@ -54,7 +54,7 @@ def knee(study: Study, panel: Panel) -> Exhibit | None:
 
 
 def greedy(study: Study, panel: Panel) -> Exhibit | None:
-    """The setup of orthogonal least squares on a panel; None where it is not there."""
+    """The setup of orthogonal least squares on a panel; None if it is missing."""
     return _best(_found(study, (panel,), ("ols",), "OLS"), "improvement_potential", "regularity")
 
 
@@ -78,7 +78,7 @@ def of_figure(study: Study, figure: str) -> list[list[Exhibit | None]]:
 
 
 def record(study: Study, exhibits: Iterable[Exhibit]) -> Record:
-    """These setups as a run's record: what `rbfevo.figures` draws. Kernel and support are those of the first one.
+    """These setups as the record of a run, as `rbfevo.figures` needs it. Kernel and support are those of the first one.
 
     Raises:
         IndexError: if there is none.
@@ -105,7 +105,7 @@ def record(study: Study, exhibits: Iterable[Exhibit]) -> Record:
 
 
 def table(exhibits: Iterable[Exhibit]) -> bytes:
-    """The centers of these setups as CSV, a line for each center, to draw them again."""
+    """The centers of these setups as CSV, one line per center."""
     axes, lines = "xy", []
     for exhibit in exhibits:
         axes = "xyz"[: exhibit.centers.shape[1]]
@@ -117,7 +117,7 @@ def table(exhibits: Iterable[Exhibit]) -> bytes:
 
 
 def _found(study: Study, panels: Iterable[Panel], methods: Iterable[str], criterion: str) -> list[Exhibit]:
-    """The setup of each panel, method and seed that is best at what is looked for."""
+    """The best setup of each panel, method and seed by a criterion."""
     found = []
     for panel in panels:
         for method in methods:

@@ -1,4 +1,4 @@
-"""How long the later optimization takes, over regularity: a row for each scenario, a column for each manipulation."""
+"""Duration of the later optimization over regularity: a row for each scenario, a column for each manipulation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROWS = {"plane": "plane", "face": "sphere"}
 
 
 def picture(study: Study, caption: str) -> Figure:
-    """Draw generations to the stopping rule over R, both logarithmic; what was given up points upwards."""
+    """Draw generations until convergence over R, both logarithmic; triangles mark fits that were given up."""
     with style.typography():
         sheet = Sheet(LEFT + 3 * (SIDE + GAP), TOP + 2 * (HIGH + BELOW) - 0.1, caption)
         for row, scenario in enumerate(SCENARIOS):
@@ -51,7 +51,7 @@ def picture(study: Study, caption: str) -> Figure:
 
 
 def panel(axes: Axes, study: Study, scenario: str, manipulation: str) -> bool:
-    """One pair of axes; whether there was anything to show. Orthogonalized setups stand at their indirect R."""
+    """Draw one panel; return whether there are fits to show. Orthogonalized setups stand at their indirect R."""
     shown = False
     for strategy in STRATEGIES:
         raw, found = pays.pairs(study, scenario, "indirect", manipulation, strategy)

@@ -30,7 +30,7 @@ SERIES = {
     "ols": Series("OLS", style.ORANGE, "D", 44, 6),
 }
 BELOW = Series("", style.GREEN, "v", 20, 2)
-ROOM = 0.6  # of what the other series span: how far below them the initial population is shown
+ROOM = 0.6  # share of the other series' range by which the initial population may lie below them
 WIDTH, HEIGHT = 2.42, 2.15  # of a panel, inches
 LEFT, TOP, ACROSS, DOWN, BOTTOM = 0.98, 0.78, 0.52, 0.56, 0.48
 
@@ -47,10 +47,10 @@ def picture(study: Study, scenario: str, caption: str) -> Figure:
             for j, kind in enumerate(KINDS):
                 (panel,) = panels_of(scenario, kind, manipulation)
                 axes = sheet.axes(LEFT + j * (WIDTH + ACROSS), top, WIDTH, HEIGHT)
-                words = _draw(axes, study, panel)
+                title = _draw(axes, study, panel)
                 axes.set_xlabel(axes.get_xlabel() if i == 1 else "", fontsize=9.5)
                 axes.set_ylabel(axes.get_ylabel() if j == 0 else "", fontsize=9.5)
-                axes.set_title(words, fontsize=7.5, color=style.GREY, pad=4)
+                axes.set_title(title, fontsize=7.5, color=style.GREY, pad=4)
                 labels |= set(axes.get_legend_handles_labels()[1])
                 if i == 0:
                     center = LEFT + j * (WIDTH + ACROSS) + WIDTH / 2
@@ -72,7 +72,7 @@ def picture(study: Study, scenario: str, caption: str) -> Figure:
 
 
 def _draw(axes: Axes, study: Study, panel: Panel) -> str:
-    """Draw one panel; return its hypervolumes in words."""
+    """Draw one panel; return its hypervolumes as text."""
     seed = study.budget.seeds[0]
     held = {name: study.setups(panel, name, 0 if name == "ols" else seed) for name in SERIES}
     series = {name: setups for name, setups in held.items() if setups is not None and len(setups.regularity)}
@@ -106,7 +106,7 @@ def _draw(axes: Axes, study: Study, panel: Panel) -> str:
 
 
 def _handle(series: Series, line: bool) -> Line2D:
-    """How a series looks in the legend."""
+    """The legend handle of a series."""
     size = max(4.0, series.size**0.5)
     look: dict[str, Any] = {"marker": series.marker, "markersize": size}
     if series.filled:
@@ -118,9 +118,9 @@ def _handle(series: Series, line: bool) -> Line2D:
 
 def _hypervolumes(series: dict[str, Setups]) -> str:
     names = {"nsga2": "NSGA-II", "gradient": "gradient"}
-    told = [
-        f"{words} {wording.number(hypervolume(torch.from_numpy(series[name].objectives)))}"
-        for name, words in names.items()
+    values = [
+        f"{label} {wording.number(hypervolume(torch.from_numpy(series[name].objectives)))}"
+        for name, label in names.items()
         if name in series
     ]
-    return f"hypervolume: {', '.join(told)}" if told else ""
+    return f"hypervolume: {', '.join(values)}" if values else ""

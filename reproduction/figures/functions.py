@@ -1,4 +1,4 @@
-"""Figure 2: a uniform setup on the initial plane, and the test function that the plane is to fit."""
+"""Figure 2: a uniform setup on the initial plane, and the test function to which the plane is fitted."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ PLANE = "#e9ecf1"
 
 
 def picture(caption: str) -> Figure:
-    """Draw the plane with its centers, and beside it the height field, in the same view."""
+    """Draw the plane with its centers and the height field side by side, in the same view."""
     with style.typography():
         sheet = Sheet(2 * WIDTH + 0.4, TOP + HEIGHT + 0.1, caption)
-        for i, (words, draw) in enumerate((("uniform setup", _setup), ("test function", _target))):
+        for i, (title, draw) in enumerate((("uniform setup", _setup), ("test function", _target))):
             left = 0.1 + i * (WIDTH + 0.1)
             axes: Any = sheet.axes(left - 0.6, TOP - 0.35, WIDTH + 1.0, HEIGHT + 0.5, projection="3d")
             axes.computed_zorder = False
             axes.patch.set_visible(False)
             draw(axes)
             _frame(axes)
-            sheet.text(left + WIDTH / 2, 0.2, words, ha="center", va="center", weight="bold", fontsize=10.5)
+            sheet.text(left + WIDTH / 2, 0.2, title, ha="center", va="center", weight="bold", fontsize=10.5)
     return sheet.figure
 
 

@@ -1,4 +1,4 @@
-"""A figure measured in inches from its upper left corner, with its caption below everything else."""
+"""A figure measured in inches from its upper left corner, with its caption at the bottom."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ LETTER = 0.53  # mean width of a letter in its size
 
 
 class Sheet:
-    """`width` x `height` inches to draw on, and as much as the caption needs below."""
+    """A figure of `width` x `height` inches, plus the height of the caption below."""
 
     def __init__(self, width: float, height: float, caption: str) -> None:
-        kept = caption.replace("--budget ", "--budget\u00a0").replace(" = ", "\u00a0=\u00a0")  # not torn apart
+        kept = caption.replace("--budget ", "--budget\u00a0").replace(" = ", "\u00a0=\u00a0")  # not broken across lines
         lines = textwrap.wrap(kept, int((width - 2 * MARGIN) * 72 / (LETTER * CAPTION)), break_on_hyphens=False)
         self.width, self.height = width, height + LINE * len(lines) + MARGIN
         self.figure = Figure(figsize=(self.width, self.height))
         self.text(MARGIN, height, "\n".join(lines), color=style.GREY, fontsize=CAPTION, va="top", linespacing=1.3)
 
     def axes(self, left: float, top: float, width: float, height: float, **kind: str) -> Axes:
-        """New axes."""
+        """Add axes at a position in inches."""
         low = self.height - top - height
         box = (left / self.width, low / self.height, width / self.width, height / self.height)
         return self.figure.add_axes(box, **kind)  # pyright: ignore[reportArgumentType, reportCallIssue]
 
-    def text(self, left: float, top: float, words: str, **look: object) -> None:
-        """Words at a place."""
-        self.figure.text(left / self.width, 1 - top / self.height, words, **look)  # pyright: ignore[reportArgumentType]
+    def text(self, left: float, top: float, text: str, **look: object) -> None:
+        """Add text at a position in inches."""
+        self.figure.text(left / self.width, 1 - top / self.height, text, **look)  # pyright: ignore[reportArgumentType]
 
     def bar(self, left: float, top: float, height: float, colors: Colors, unit: str, cut: bool = False) -> None:
-        """A colour bar; `cut` where some values lie above it."""
+        """Add a colour bar; `cut` if some values lie above its range."""
         extend = "max" if cut else "neither"
         bar = self.figure.colorbar(ScalarMappable(*colors), cax=self.axes(left, top, 0.11, height), extend=extend)
         bar.set_label(unit, fontsize=8.5)
@@ -53,10 +53,10 @@ class Sheet:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write `figure` as a PNG, whole or not at all, in 128 steps of each colour: smaller, and no eye can tell.
+    """Write `figure` atomically as a PNG, with 128 steps per colour: a smaller file without a visible difference.
 
     Raises:
-        UserError: if it cannot be written there.
+        UserError: if it cannot be written.
     """
     canvas = FigureCanvasAgg(figure)
     figure.set_dpi(style.DPI)
@@ -69,10 +69,10 @@ def save(figure: Figure, path: Path) -> None:
     storage.write_whole(path, picture.getvalue())
 
 
-def blank(axes: Axes, words: str) -> None:
-    """Say in empty axes why there is nothing."""
+def blank(axes: Axes, text: str) -> None:
+    """Show in empty axes why there is nothing to draw."""
     axes.set_xticks([])
     axes.set_yticks([])
     axes.set_facecolor("#f6f6f6")
     axes.spines[:].set_color(style.PALE)
-    axes.text(0.5, 0.5, words, transform=axes.transAxes, ha="center", va="center", color=style.GREY, fontsize=8.5)
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=style.GREY, fontsize=8.5)

@@ -1,4 +1,4 @@
-"""What draws the centers of a setup: on the plane, or on a surface in space; over nothing, or over values."""
+"""Draws the centers of a setup on the plane or on a surface in space, plain or over values at the vertices."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GROUND = "#f4f3f0"  # of a plane without values
 
 
 class Painter(NamedTuple):
-    """Draws the setups of a record, of which a choice's index is one; `frame` is None on the plane."""
+    """Draws the setups of a record, selected by a choice's index; `frame` is None on the plane."""
 
     record: Record
     frame: surfaces.Frame | None
@@ -28,14 +28,14 @@ class Painter(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """Height of a panel over its width."""
+        """The height of a panel over its width."""
         if self.frame is not None:
             return self.frame.ratio
         width, height = plane.size(self.record)
         return height / width
 
     def plain(self, axes: Axes, choice: Choice) -> None:
-        """Draw the centers of a setup over nothing but the design."""
+        """Draw the centers of a setup over the uncoloured design."""
         if self.frame is None:
             axes.set_facecolor(GROUND)
             plane.place_centers(axes, self.record, choice)
@@ -44,7 +44,7 @@ class Painter(NamedTuple):
             self._spatial(axes, choice, self.frame, clay, surface.AMBIENT)
 
     def over(self, values: Callable[[Choice], Array], colors: Colors) -> Draw:
-        """Return what draws the centers of a setup over values [n] of the vertices."""
+        """Return a function that draws the centers of a setup over values [n] at the vertices."""
         frame = self.frame
         if frame is None:
             return plane.panel(self.record, values, colors)
@@ -57,7 +57,7 @@ class Painter(NamedTuple):
 
 
 def painter(record: Record, opengl: bool) -> Painter:
-    """What draws the setups of a record, all in one frame."""
+    """The painter of a record's setups, with one frame for all of them."""
     flat = record.vertices.shape[1] == 2
     frame = None if flat else surfaces.frame_of(np.concatenate([record.vertices, *record.centers]))
     return Painter(record, frame, opengl)

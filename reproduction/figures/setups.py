@@ -1,4 +1,4 @@
-"""Figures 4, 5 and 7: where the centers of the best setups and of OLS sit, a column for each kernel."""
+"""Figures 4, 5 and 7: the centers of the best setups and of OLS, a column for each kernel."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from reproduction.study import KINDS, Study, panels_of
 WIDTH, LEFT, GAP, BAR = 2.5, 0.9, 0.3, 0.95  # inches
 KERNEL, HEAD = 0.28, 0.44  # heights of the kernels' names and of two lines over a panel
 UNIT = "local error [model units]"
-MOST = 0.995  # of the errors that setups leave fit on the scale: a few vertices would hide all others
+MOST = 0.995  # share of the remaining errors within the scale, which a few vertices would stretch otherwise
 
 
 class Row(NamedTuple):
-    """A row of panels: its name, its setups, what draws them, whether they have heads, and its colours if any."""
+    """A row of panels: its label, setups, function that draws them, whether they have headings, and colours if any."""
 
     label: str
     cells: list[Exhibit | None]
@@ -37,7 +37,7 @@ class Row(NamedTuple):
 
 
 def picture(study: Study, figure: str, caption: str, opengl: bool = True) -> Figure:
-    """Draw figure 4, 5 or 7: on the plane, or on the sphere if its name ends in `-face`."""
+    """Draw figure 4, 5 or 7 on the plane, or on the sphere if its name ends in `-face`."""
     shown = exhibits.of_figure(study, figure)
     present = [exhibit for row in shown for exhibit in row if exhibit is not None]
     scenario = "face" if figure.endswith("-face") else "plane"
@@ -86,12 +86,12 @@ def _empty(scenario: str, caption: str) -> Figure:
 
 def _columns(sheet: Sheet, scenario: str) -> None:
     for j, kind in enumerate(KINDS):
-        words, middle = wording.kernel(panels_of(scenario, kind)[0]), LEFT + j * (WIDTH + GAP) + WIDTH / 2
-        sheet.text(middle, 0.16, words, ha="center", va="center", weight="bold", fontsize=10.5)
+        title, middle = wording.kernel(panels_of(scenario, kind)[0]), LEFT + j * (WIDTH + GAP) + WIDTH / 2
+        sheet.text(middle, 0.16, title, ha="center", va="center", weight="bold", fontsize=10.5)
 
 
 def _label(axes: Axes, first: bool, last: bool) -> None:
-    """Name the axes of the plane at the left and below alone; in space there are none."""
+    """Label the axes of the plane only on the left and at the bottom; in space there are none."""
     if not axes.axison:
         return
     axes.set_xticks((0, 0.5, 1, 1.5, 2))
@@ -102,7 +102,7 @@ def _label(axes: Axes, first: bool, last: bool) -> None:
 
 
 def _head(study: Study, exhibit: Exhibit) -> tuple[str, str]:
-    """R and P, and where the setup comes from; OLS serves both manipulations."""
+    """R and P, and the origin of the setup; that of OLS has R for both manipulations instead."""
     R, P = wording.number(exhibit.regularity), wording.number(exhibit.improvement_potential)
     if exhibit.method != "ols":
         ending = "" if exhibit.criterion == "regularity" else f", {exhibit.panel.manipulation}"

@@ -1,4 +1,4 @@
-"""Figure 1: the sphere with its centers, the shape that they can give it, and the target."""
+"""Figure 1: the sphere with its centers, its deformation by them, and the target."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from reproduction.study import Study
 
 SIDE, GAP, TOP = 2.7, 0.5, 0.55  # inches
 TURNS, SMOOTHNESS = 100, 1.0  # of closest points and least squares; weight of the Laplacian's term
-SKIN, STAYS = "#d2a98a", "#d4d2cd"  # of what is to become the face, and of what has no place on it
+SKIN, STAYS = "#d2a98a", "#d4d2cd"  # vertices with and without a counterpart on the target
 
 
 def picture(study: Study, caption: str, opengl: bool = True) -> Figure:
@@ -48,10 +48,10 @@ def picture(study: Study, caption: str, opengl: bool = True) -> Figure:
     sphere = np.where(still[:, None], to_rgb(STAYS), to_rgb(SKIN))
     with style.typography():
         sheet = Sheet(3 * (SIDE + GAP) - GAP + 0.2, TOP + height + 0.1, caption)
-        for i, (title, words, points, corners, dots) in enumerate(shapes):
+        for i, (title, subtitle, points, corners, dots) in enumerate(shapes):
             left = 0.1 + i * (SIDE + GAP)
             sheet.text(left + SIDE / 2, 0.2, title, ha="center", va="center", weight="bold", fontsize=10.5)
-            sheet.text(left + SIDE / 2, 0.41, words, ha="center", va="center", color=style.GREY, fontsize=9)
+            sheet.text(left + SIDE / 2, 0.41, subtitle, ha="center", va="center", color=style.GREY, fontsize=9)
             axes = sheet.axes(left, TOP, SIDE, height)
             axes.set_axis_off()
             if points is not None:
@@ -64,7 +64,7 @@ def picture(study: Study, caption: str, opengl: bool = True) -> Figure:
 
 
 def fitted(study: Study, exhibit: Exhibit) -> Array:
-    """The sphere [n, 3] as the setup's centers fit it to the scan: closest points and least squares in turn."""
+    """The sphere [n, 3] fitted to the scan by the setup's centers: closest points and least squares in turn."""
     scenario = study.scenario("face")
     kernel = build(exhibit.panel.settings("method=lloyd").kernel, 3, scenario.support)
     found = deformation(scenario, kernel, torch.from_numpy(exhibit.centers), "orthogonalized")

@@ -11,14 +11,14 @@ from rbfevo.arrays import Array
 from rbfevo.figures import style, surface
 from rbfevo.figures.view import View, hidden, view_of
 
-AMBIENT = 0.8  # of the light on surfaces whose colours mean something
+AMBIENT = 0.8  # share of ambient light on surfaces whose colours are values
 MARGIN = 0.05  # around what is shown, model units
 DOT = 30.0  # area of a center's mark, points squared
-DEPTH = 0.35  # by what share a mark's area grows and shrinks with its depth
+DEPTH = 0.35  # share by which a mark's area grows and shrinks with its depth
 
 
 class Frame(NamedTuple):
-    """What the panels of a figure show: a view, and the part of its picture that is needed."""
+    """The view of a figure's panels, and the visible part of its picture."""
 
     view: View
     low: Array
@@ -32,14 +32,14 @@ class Frame(NamedTuple):
 
 
 def frame_of(points: Array) -> Frame:
-    """The frame that shows all of points [q, 3]."""
+    """The frame that contains all points [q, 3]."""
     view = view_of(points, MARGIN)
     places = view.project(points)[0]
     return Frame(view, places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN)
 
 
 def show(axes: Axes, frame: Frame, vertices: Array, faces: Array, colors: Array, opengl: bool, ambient: float) -> None:
-    """Show a surface with colours [n, 3]; the larger `ambient`, the closer the picture keeps to them."""
+    """Show a surface with colours [n, 3]; the larger `ambient`, the less shading changes them."""
     axes.set_axis_off()
     paint = surface.render if opengl else surface.project
     paint(axes, frame.view, vertices, faces, colors, np.empty((0, 3)), 0.0, ambient)

@@ -1,4 +1,4 @@
-"""What the figures say in words: captions, and the names of panels, methods and setups; no import of matplotlib."""
+"""Captions of the figures, and the names of panels, methods and setups; does not import matplotlib."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SCENARIOS = {"plane": "the plane", "face": "the sphere that is to become a face"
 
 
 def captions(study: Study) -> dict[str, str]:
-    """The caption of every figure by file name: what is shown, what is missing, seeds and budget, how it was made."""
+    """The caption of every figure by file name: content, missing series, seeds, budget, and the command."""
     texts = {
         "figure1": _deformation(study),
         "figure2": "The paper's figure 2 made again: a uniform setup of 5 × 5 centers on the initial plane (left), and "
@@ -56,14 +56,14 @@ def captions(study: Study) -> dict[str, str]:
 
 
 def kernel(panel: Panel) -> str:
-    """Such as `Wendland, s = 0.25`."""
+    """The name of a panel's kernel, such as `Wendland, s = 0.25`."""
     if panel.support is not None:
         return f"Wendland, s = {panel.support:g}"
     return f"triharmonic, {'r² log r' if panel.scenario == 'plane' else 'r³'}"
 
 
 def number(value: float) -> str:
-    """Four decimals, and a power of ten where a regularity needs one."""
+    """Four decimals, or a power of ten for nonzero values below 0.01."""
     if value == 0 or value >= 0.01:
         return f"{value:.4f}"
     exponent = math.floor(math.log10(value))
@@ -72,13 +72,13 @@ def number(value: float) -> str:
 
 
 def origin(exhibit: Exhibit) -> str:
-    """Where a setup was found, such as `CMA-ES, λ = 0.9, seed 2`."""
+    """The search that found a setup, such as `CMA-ES, λ = 0.9, seed 2`."""
     preferred = "" if math.isnan(exhibit.preference) else f", λ = {exhibit.preference:g}"
     return f"{METHODS[exhibit.method]}{preferred}, seed {exhibit.seed}"
 
 
 def seeds(numbers: Iterable[int]) -> str:
-    """Such as `seed 0`, or `seeds 0, 1, 2`."""
+    """Seeds as text, such as `seed 0` or `seeds 0, 1, 2`."""
     listed = sorted(set(numbers))
     return f"seed{'s' * (len(listed) != 1)} {', '.join(map(str, listed))}"
 
@@ -90,7 +90,7 @@ def expected(study: Study, scenario: str, method: str) -> list[Panel]:
 
 
 def missing(study: Study, scenario: str, methods: Iterable[str], seed: int) -> str:
-    """A sentence on the series that are not there on the panels of a scenario; empty if all of them are."""
+    """A sentence on the series that are missing on panels of a scenario; empty if none is."""
     lacks = []
     for method in methods:
         panels = expected(study, scenario, method)
@@ -104,14 +104,14 @@ def missing(study: Study, scenario: str, methods: Iterable[str], seed: int) -> s
 
 
 def _spent(study: Study, scenario: str) -> str:
-    """A sentence on what the searches spent; the gradient search as its runs say."""
+    """A sentence on the evaluations of the searches; those of the gradient search are taken from its runs."""
     summaries = [study.summary(panel, "gradient", seed) for panel in panels_of(scenario) for seed in study.budget.seeds]
     counts = [summary["evaluations"] for summary in summaries if summary is not None]
-    told = ""
+    gradient = ""
     if counts:
         some = f"{min(counts):,} to {max(counts):,}" if min(counts) < max(counts) else f"{counts[0]:,}"
-        told = f", gradient search {some} (most of them with a gradient)"
-    return f" Budget {study.budget.name}: {study.budget.in_words}{told}."
+        gradient = f", gradient search {some} (most of them with a gradient)"
+    return f" Budget {study.budget.name}: {study.budget.description}{gradient}."
 
 
 def _fronts(study: Study, figure: int, scenario: str) -> str:
@@ -126,8 +126,8 @@ def _fronts(study: Study, figure: int, scenario: str) -> str:
 
 
 def _searches(study: Study, scenario: str) -> str:
-    """Which searches on a scenario there are to choose from, with their seeds, which are not there, what they spent."""
-    told, lacks = [], []
+    """The searches on a scenario to choose from with their seeds, the missing ones, and their evaluations."""
+    available, lacks = [], []
     for method in SEARCHES:
         panels = expected(study, scenario, method)
         if not panels:
@@ -137,8 +137,8 @@ def _searches(study: Study, scenario: str) -> str:
         }
         held = [seed for seed, count in there.items() if count]
         partly = "" if all(there[seed] == len(PANELS) // 2 for seed in held) else ", not on every panel"
-        (told if held else lacks).append(f"{METHODS[method]} ({seeds(held)}{partly})" if held else METHODS[method])
-    found = f" Chosen from {', '.join(told)}." if told else " There is nothing to choose from."
+        (available if held else lacks).append(f"{METHODS[method]} ({seeds(held)}{partly})" if held else METHODS[method])
+    found = f" Chosen from {', '.join(available)}." if available else " There is nothing to choose from."
     return found + (f" Not there: {', '.join(lacks)}." if lacks else "") + _spent(study, scenario)
 
 
@@ -170,8 +170,8 @@ def _greedy(study: Study, figure: str, scenario: str) -> str:
 
 
 def _marks(scenario: str) -> str:
-    words = " Dots: centers in front of the surface; rings: inside or behind; far ones are smaller."
-    return words if scenario == "face" else ""
+    legend = " Dots: centers in front of the surface; rings: inside or behind; far ones are smaller."
+    return legend if scenario == "face" else ""
 
 
 def _fits(study: Study) -> str:
