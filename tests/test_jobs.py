@@ -234,7 +234,7 @@ def test_a_job_that_ended_without_a_word_is_told_of():
     assert jobs.summary(found) == [
         "1 of 2 jobs failed:",
         "  1 (b=3): its process ended without a result",
-        "start the same sweep again to take up what is not done, and nothing else",
+        "start the same sweep again to run only the jobs that are not done",
     ]
 
 

@@ -113,7 +113,7 @@ def test_export_and_apply_know_what_a_kernel_from_outside_does(gaussian: Path, t
 def test_what_a_representation_from_outside_does_not_offer_is_refused_in_a_line(modes: Path, tmp_path: Path) -> None:
     exported = python("rbfevo.export", str(modes), "--pick", "knee", "--out", str(tmp_path / "e"))
     assert exported.returncode == 0, exported.stderr
-    assert "left out: displacements.csv: the control points of representation=modes are not moved" in exported.stdout
+    assert "left out: displacements.csv: the control points of representation=modes cannot be moved" in exported.stdout
     words = [str(modes), "--pick", "knee", "--mesh", str(tmp_path / "e" / "template.vtp")]
     weights = ["--weights", str(tmp_path / "e" / "weights.csv")]
     assert python("rbfevo.apply", *words, *weights, "--out", str(tmp_path / "moved.vtp")).returncode == 0

@@ -376,7 +376,7 @@ def test_some_words_may_change_on_the_way(half, word):
         (["seed=1"], "seed=1: this cannot change when a run is resumed"),
         (["method.population=4"], "this cannot change when a run is resumed"),
         (["hydra.run.dir=x"], "this cannot change when a run is resumed"),
-        (["-m"], "start it again in its hydra.sweep.dir"),
+        (["-m"], "start it again with the same hydra.sweep.dir"),
         (["resume=other"], "give one run, not several"),
     ],
 )
