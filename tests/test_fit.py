@@ -534,7 +534,7 @@ def test_a_run_that_cannot_be_rebuilt(
     honest = config.read_text()
     for wrong, message in (
         (honest.replace("reject: boundary", "reject: none"), "(was a file of the scenario replaced?)"),
-        (honest.replace("subdivisions: 2", "subdivisions: 1"), "other vertices now"),
+        (honest.replace("subdivisions: 2", "subdivisions: 1"), "vertices of the scenario changed since"),
         (honest.replace("subdivisions: 2", "subdivisions: 77"), "1 to 8"),
         (honest.replace("support: 1.0", "support: 0.4"), "support is 1.0 in summary.json and 0.4 in"),
         (honest.replace("rbfevo.scoring.kernels.wendland", "os.system"), "there is no such key"),
