@@ -1,4 +1,4 @@
-"""`python -m rbfevo`: configuration in, run directory out."""
+"""`python -m rbfevo`: carry out one run or a sweep."""
 
 from __future__ import annotations
 

@@ -25,9 +25,9 @@ DESCRIPTION = """Deform a mesh with the control points of one setup of a run.
 
 You give how far each control point moves (--displacements, in the unit of the mesh), as in the displacements.csv that
 python -m rbfevo.export writes; every point of the mesh follows. The mesh can be the template of the run or any other
-one in the same place and unit: a finer surface, a volume mesh, a cloud. All else in its file is kept."""
-EPILOG = f"""Meshes: {", ".join(ending[1:] for ending in meshes.ENDINGS)}.
-The ending of --out is that of --mesh, or one of {", ".join(meshes.CONVERSIONS)}."""
+one in the same place and unit: a finer surface, a volume mesh, a cloud. Everything else in its file is kept."""
+EPILOG = f"""Mesh formats: {", ".join(ending[1:] for ending in meshes.ENDINGS)}.
+--out ends as --mesh does, or in one of {", ".join(meshes.CONVERSIONS)}."""
 
 
 def parser() -> parsers.Parser:
@@ -38,15 +38,20 @@ def parser() -> parsers.Parser:
         "--displacements",
         type=Path,
         metavar="FILE",
-        help="how far each center moves: CSV with columns center,dx,dy,dz or just three (on the plane also one, the "
-        "height), NPY [m, 3] or NPZ with an array displacements",
+        help="how far each center moves: CSV with columns center,dx,dy,dz or only dx,dy,dz (on the plane also one, "
+        "the height), NPY [m, 3], or NPZ with an array named displacements",
     )
-    what.add_argument("--weights", type=Path, metavar="FILE", help="the same for the RBF weights, center,wx,wy,wz")
-    made.add_argument("--mesh", type=Path, required=True, metavar="FILE", help="what to deform")
-    made.add_argument("--out", type=Path, required=True, metavar="FILE", help="where the deformed mesh goes")
-    made.add_argument("--force", action="store_true", help="write a volume mesh even if cells of it turn inside out")
-    made.add_argument("--overwrite", action="store_true", help="replace --out if it is there")
-    made.add_argument("--quiet", action="store_true", help="print nothing but warnings")
+    what.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help="RBF weights instead of displacements, in the same way: center,wx,wy,wz",
+    )
+    made.add_argument("--mesh", type=Path, required=True, metavar="FILE", help="the mesh to deform")
+    made.add_argument("--out", type=Path, required=True, metavar="FILE", help="the file to write the deformed mesh to")
+    made.add_argument("--force", action="store_true", help="write a volume mesh even if cells turn inside out")
+    made.add_argument("--overwrite", action="store_true", help="replace --out if it exists")
+    made.add_argument("--quiet", action="store_true", help="print only warnings")
     return made
 
 
@@ -78,14 +83,15 @@ def carry_out(options: argparse.Namespace) -> None:
         displacement = chosen.displacement(mesh.points[:, : record.vertices.shape[1]], weights)
         moved = mesh.points + displacement
         if not np.isfinite(moved).all():
-            raise UserError(f"--{what} {path}: with such large numbers the deformed points are not finite")
+            raise UserError(f"--{what} {path}: its values are so large that deformed points are not finite")
         if mesh.dimension == 2 and options.out.suffix.lower() not in meshes.CONVERSIONS and displacement[:, 2].any():
             raise UserError(
-                f"{options.mesh}: its points have no z, along which they are to move; choose --out FILE.vtu"
+                f"{options.mesh}: its points have no z coordinate, but the setup moves them along z; "
+                "write a VTU file instead: --out FILE.vtu"
             )
         turned = inverted(mesh, moved)
         if turned and not options.force:
-            raise UserError(f"{options.mesh}: {turned}, or add --force")
+            raise UserError(f"{options.mesh}: {turned}, or add --force to write the mesh anyway")
         notes = meshes.write(mesh, options.mesh, moved, displacement, options.out)
         centers = rows if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
@@ -95,19 +101,19 @@ def carry_out(options: argparse.Namespace) -> None:
     if not options.quiet:
         for note in notes:
             print(f"note: {note}")
-        print(f"{len(moved)} points moved by at most {length.max():.6g}; the centers by at most {largest:.6g}")
+        print(f"{len(moved)} points moved by at most {length.max():.6g}, the centers by at most {largest:.6g}")
         print(f"written: {options.out}", flush=True)
 
 
 def refuse_out(options: argparse.Namespace) -> None:
-    """Raise UserError if the result cannot go where it is to go."""
+    """Raise UserError if the result cannot be written to --out."""
     meshes.refuse_ending(options.mesh, options.out)
     if options.out.exists() and not options.overwrite:
-        raise UserError(f"--out {options.out} is there already: choose another one, or add --overwrite")
+        raise UserError(f"--out {options.out} already exists: choose another file, or add --overwrite")
     if options.out.is_dir():
-        raise UserError(f"--out {options.out} is a directory")
+        raise UserError(f"--out {options.out} is a directory: give a file")
     if not options.out.parent.is_dir():
-        raise UserError(f"--out {options.out}: there is no directory {options.out.parent}")
+        raise UserError(f"--out {options.out}: the directory {options.out.parent} does not exist; create it first")
 
 
 def warnings(
@@ -123,8 +129,8 @@ def warnings(
         nearest = KDTree(chosen.centers_and_images().points).query(places)[0].min()
         if nearest >= chosen.support:
             yield (
-                f"no point of the mesh lies within reach of a center (support radius {chosen.support:g}, the "
-                f"nearest is {nearest:.4g} away), so nothing moves; {_boxes(record, lowest, highest)}"
+                f"no point of the mesh lies within the support radius {chosen.support:g} of a center (the nearest is "
+                f"{nearest:.4g} away), so nothing moves; {_boxes(record, lowest, highest)}"
             )
             return
     if apart:
@@ -146,7 +152,7 @@ def warnings(
 
 
 def inverted(mesh: meshes.Mesh, moved: Array) -> str:
-    """How many cells of a volume mesh a move turns inside out, and how far it may go; empty if it is none."""
+    """How many cells of a volume mesh a move turns inside out, and how far it may go; empty if there are none."""
     found = meshes.cells.volumes(mesh.points, moved, mesh.cells)
     turned, share = [], 1.0
     for volumes in found:
@@ -158,16 +164,19 @@ def inverted(mesh: meshes.Mesh, moved: Array) -> str:
     if not turned:
         return ""
     return (
-        f"the move turns {', '.join(turned)} inside out or flat, so that no solver can use the mesh; displacements "
-        f"{share:.3g} times as large are the limit"
+        f"the displacements turn {', '.join(turned)} inside out or flat, and no solver can use such a mesh; "
+        f"multiply the displacements by less than {share:.3g}"
     )
 
 
 def _boxes(record: Record, lowest: Array, highest: Array) -> str:
-    def say(lower: Array, upper: Array) -> str:
+    def sides(lower: Array, upper: Array) -> str:
         return ", ".join(f"{axis} {a:.4g} .. {b:.4g}" for axis, a, b in zip("xyz", lower, upper, strict=False))
 
-    return f"another place or unit? Mesh: {say(lowest, highest)}; box: {say(record.lower, record.upper)}"
+    return (
+        "is the mesh in another place or unit than the run? "
+        f"Mesh: {sides(lowest, highest)}; box of the run: {sides(record.lower, record.upper)}"
+    )
 
 
 def _dots(before: Array, after: Array, triangles: Array) -> Array:

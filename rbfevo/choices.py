@@ -10,7 +10,7 @@ MANIPULATIONS = ("indirect", "direct")
 DEVICES = ("auto", "cpu", "cuda")
 EVALUATORS = ("auto", "fused", "eager")
 FIT_MANIPULATIONS = (*MANIPULATIONS, "orthogonalized")
-WITHOUT_EFFECT = ("checkpoint", "device", "figures", "quiet")  # keys of which no result depends on; free on resume
+WITHOUT_EFFECT = ("checkpoint", "device", "figures", "quiet")  # on which no result depends; may change on resume
 FIT_STRATEGIES = ("isotropic", "cmaes")
 
 

@@ -16,15 +16,15 @@ DESCRIPTION = """Collect the runs at and below a directory, and print which sett
 
 runs.csv     a line for each run and each of its series (all its setups, and those of each method)
 medians.csv  medians and quartiles over the seeds, a line for each setting and series
-report.html  both as a page to compare settings on, and to choose a setup from"""
-EPILOG = "Runs may be added at any time: collect them again, the files are rewritten."
+report.html  a page with both, to compare settings and to choose a setup"""
+EPILOG = "After adding runs, collect again: the files are rewritten."
 
 
 def parser() -> parsers.Parser:
     """The options."""
     made = parsers.Parser("rbfevo.collect", DESCRIPTION, EPILOG)
-    made.add_argument("directory", type=Path, metavar="DIR", help="the directory of a sweep, or of several")
-    made.add_argument("--out", type=Path, metavar="DIR", help="where the files go; the directory itself")
+    made.add_argument("directory", type=Path, metavar="DIR", help="the directory of a sweep, or one that holds several")
+    made.add_argument("--out", type=Path, metavar="DIR", help="the directory to write to (default: DIR)")
     return made
 
 
@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def carry_out(options: argparse.Namespace) -> None:
-    """Write the tables of a sweep and print what is best.
+    """Write the tables and the page of a sweep, and print which settings are best.
 
     Raises:
         UserError: for a user's mistake.
@@ -42,22 +42,24 @@ def carry_out(options: argparse.Namespace) -> None:
     members, unread = sweep.members(options.directory)
     out: Path = options.out or options.directory
     if any(member.name == "." for member in members) and out.resolve() == options.directory.resolve():
-        raise UserError(f"{out} is a run by itself, with a report.html of its own: give the directory above, or --out")
+        raise UserError(
+            f"{out} is a single run, whose report.html would be replaced: give the directory above, or --out"
+        )
     groups = sweep.groups(members)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"--out {out} cannot be made: {error.strerror or error}") from None
+        raise UserError(f"--out {out} cannot be created: {error.strerror or error}") from None
     write_whole(out / "runs.csv", sweep.table_of_runs(sweep.lines(members)))
     write_whole(out / "medians.csv", sweep.table_of_medians(groups))
-    files, warnings = ["runs.csv", "medians.csv"], [*(f"left out: {line}" for line in unread), *sweep.doubts(members)]
+    files, warnings = ["runs.csv", "medians.csv"], [*(f"left out: {line}" for line in unread), *sweep.warnings(members)]
     from rbfevo.figures.report import page_of_sweep  # with Matplotlib: only once the runs are known
 
     try:
         write_whole(out / "report.html", page_of_sweep(members, options.directory, out).encode())
         files.append("report.html")
     except UserError as error:
-        warnings.append(f"report.html could not be made: {error}")
+        warnings.append(f"report.html could not be written: {error}")
     for warning in warnings:
         print(f"warning: {warning}", file=sys.stderr, flush=True)
     for sentence in sweep.best(groups):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import shlex
 import tempfile
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from rbfevo.arrays import Array
 from rbfevo.commands import parsers
 from rbfevo.errors import UserError
 from rbfevo.files import csv_text, npz, refuse_held, write_whole
+from rbfevo.geometry.lengths import number_or_percentage
 from rbfevo.recorded.moves import Move, places_of, spatial, wanted_move
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
@@ -29,8 +31,8 @@ DESCRIPTION = """Write one setup of a run (control points and what they can do) 
 
 centers.csv        the control points;  centers.vtp, template.vtp: the same and the mesh, for ParaView
 displacements.csv  how far to move each control point: edit it, then deform any mesh with python -m rbfevo.apply
-weights.csv        the RBF weights that do the same: displacement = sum of times * weight * phi over centers.csv, the
-                   component across a symmetry plane turned over for mirrored ones
+weights.csv        the RBF weights that do the same: displacement = sum over centers.csv of times * weight * phi; in
+                   mirrored rows, the component across the symmetry plane changes its sign
 setup.npz          arrays for your own optimizer: X' = X + U P
 parameters.prm     control points for PyGeM"""
 
@@ -38,25 +40,26 @@ parameters.prm     control points for PyGeM"""
 def parser() -> parsers.Parser:
     """The options."""
     made = parsers.PickParser("rbfevo.export", DESCRIPTION, "An existing export is never overwritten.")
-    made.add_argument("--out", type=Path, metavar="DIR", help="directory to write; RUN/export-PICK")
+    made.add_argument("--out", type=Path, metavar="DIR", help="directory to write (default: RUN/export-PICK)")
     made.add_argument(
         "--step",
-        type=_share,
+        type=_fraction,
         default=STEP,
-        help="where the run knows a direction only (a sensitivity): the largest displacement of a vertex, as a part "
-        f"of the diagonal of the mesh, such as {STEP:g} or {100 * STEP:g}%%",
+        help="for runs with a sensitivity, which gives a direction but no length: the largest displacement of a "
+        f"vertex, as a fraction of the mesh's diagonal or a percentage (default: {STEP:g}, which is {100 * STEP:g}%%)",
     )
     made.add_argument("--quiet", action="store_true", help="print nothing")
     return made
 
 
-def _share(word: str) -> float:
-    """A number, or a percentage."""
-    number, percent = (word.strip()[:-1], True) if word.strip().endswith("%") else (word, False)
-    try:
-        return float(number) / (100 if percent else 1)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"{word} is neither a number nor a percentage") from None
+def _fraction(text: str) -> float:
+    """A number, or a percentage of 1."""
+    number, percent = number_or_percentage(text)
+    if math.isnan(number):
+        raise argparse.ArgumentTypeError(
+            f"{text} is neither a fraction above 0 and at most 1 nor a percentage such as 5%"
+        )
+    return number / 100.0 if percent else number
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -73,14 +76,17 @@ def carry_out(options: argparse.Namespace) -> None:
     record = read(options.run)
     row = pick(record, options.pick)
     if not 0 < options.step <= 1:
-        raise UserError(f"--step {options.step:g}: a part of the diagonal, above 0 and up to 1, is expected")
+        raise UserError(f"--step {options.step:g}: give a fraction of the mesh's diagonal, above 0 and at most 1")
     if record.vertices.shape[1] == 3 and record.gradient.shape[1] != 3:
-        raise UserError(f"{options.run}: its gradient does not have the three components of a displacement in space")
+        raise UserError(
+            f"{options.run}: cannot be exported, since its gradient has {record.gradient.shape[1]} components, not the "
+            "three of a displacement in space"
+        )
     out = options.out or options.run / f"export-{options.pick.strip().replace(':', '-')}"
     refuse_held(out, FILES, "--out")
     chosen = setup(record, row)
     move = wanted_move(record, chosen, options.step)
-    contents, left_out = tables(record, chosen, move)
+    contents, left_out = file_contents(record, chosen, move)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out, prefix=".export-") as aside:  # all of it appears, or nothing
@@ -96,8 +102,8 @@ def carry_out(options: argparse.Namespace) -> None:
             print(line, flush=True)
 
 
-def tables(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes], dict[str, str]]:
-    """The contents of all files but VTK's, and why others are left out."""
+def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes], dict[str, str]]:
+    """The contents of all files but VTK's, and for each file that is left out the reason."""
     physical, left_out = chosen.centers_and_images(), {}
     places, times = spatial(physical.points), 1 + chosen.on_plane[physical.column]
     rows = zip(physical.column.tolist(), places.tolist(), physical.mirrored.tolist(), times.tolist(), strict=True)
@@ -125,7 +131,7 @@ def tables(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes],
 
 
 def _numbered(names: list[str], places: Array, rows: Array) -> bytes:
-    """A table of rows [m, 3], with where the centers are, so that it cannot be taken for that of another setup."""
+    """A table of rows [m, 3] with the places of the centers, so that it cannot be mistaken for another setup's."""
     known = bool(np.isfinite(places).all())
     lines = enumerate(np.hstack([places, rows] if known else [rows]).tolist())
     return csv_text(["center", *("xyz" if known else ""), *names], [(center, *line) for center, line in lines])
@@ -197,15 +203,17 @@ def closing(
     mirror = chosen.mirror
     mirrored = "" if mirror is None else f", mirrored at {'xyz'[mirror.axis]} = {mirror.at:g}"
     size = (
-        f"--step {options.step:g} of the mesh's diagonal, as the run knows a direction only" if move.direction else ""
+        f"scaled to --step {options.step:g} of the mesh's diagonal: a sensitivity gives no length"
+        if move.direction
+        else ""
     )
     lines = [
         f"{options.pick.strip()}: row {chosen.row} of {options.run} ({record.method[chosen.row]}): "
         f"R = {chosen.regularity:.4g}, P = {chosen.improvement_potential:.4f}",
         f"{len(chosen.centers)} centers{mirrored}: {record.title}",
         f"best approximation: a vertex moves by at most {reached:.4g}"
-        + (f" ({size})" if size else f", wanted were {wanted:.4g}"),
-        *_held(record, move),
+        + (f" ({size})" if size else f" (wanted: at most {wanted:.4g})"),
+        *_fixed(record, move),
         f"files: {out}: {', '.join(name for name in FILES if name in written or name.endswith('.vtp'))}",
     ]
     if "parameters.prm" in written:
@@ -214,17 +222,17 @@ def closing(
         lines.append(f"parameters.prm: {LINEAR}")
     lines += [f"left out: {name}: {reason}" for name, reason in left_out.items()]
     what = "displacements" if "displacements.csv" in written else "weights"
-    words = [str(options.run), "--pick", options.pick.strip(), f"--{what}", str(out / f"{what}.csv")]
-    words += ["--mesh", str(out / "template.vtp"), "--out", str(out / "deformed.vtp")]
-    return [*lines, f"next: python -m rbfevo.apply {shlex.join(words)}"]
+    arguments = [str(options.run), "--pick", options.pick.strip(), f"--{what}", str(out / f"{what}.csv")]
+    arguments += ["--mesh", str(out / "template.vtp"), "--out", str(out / "deformed.vtp")]
+    return [*lines, f"next: python -m rbfevo.apply {shlex.join(arguments)}"]
 
 
-def _held(record: Record, move: Move) -> list[str]:
-    """How far the setup moves vertices that are to stay, if there are any."""
+def _fixed(record: Record, move: Move) -> list[str]:
+    """How far the setup moves vertices that should not move, if there are any."""
     if record.stays is None or not record.stays.any():
         return []
     farthest = float(np.linalg.norm(move.reached[record.stays], axis=1).max())
-    return [f"{int(record.stays.sum())} vertices are to stay; they move by at most {farthest:.4g}"]
+    return [f"{int(record.stays.sum())} vertices should not move; the setup moves them by at most {farthest:.4g}"]
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ def refuse_held(directory: Path, files: Sequence[str], option: str) -> None:
 
 
 def refuse_missing(path: Path) -> None:
-    """Raise UserError if there is no such file; what else may be wrong with it, whoever reads it finds out."""
+    """Raise UserError if there is no such file; other faults are found when it is read."""
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -59,7 +59,7 @@ _UNFINISHED = re.compile(r"\.[\w-]+\.(npz|csv|json|yaml|html|png)\.\w{8}")
 
 
 def clear_unfinished(directory: Path) -> None:
-    """Remove what processes that were killed while they wrote have left in a directory that no other one works in."""
+    """Remove the unfinished files of killed processes from a directory in which no other process works."""
     for path in directory.glob(".*"):
         if _UNFINISHED.fullmatch(path.name):
             path.unlink(missing_ok=True)
@@ -75,7 +75,7 @@ def npz(arrays: dict[str, np.ndarray]) -> bytes:
 
 
 def csv_text(names: Sequence[str] | None, lines: Iterable[Sequence[Any]]) -> bytes:
-    """A CSV table as bytes, without a head if `names` is None; floats keep all their digits, NaN is an empty cell."""
+    """A CSV table as bytes, without a header if `names` is None; floats keep all digits, NaN is an empty cell."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     if names is not None:

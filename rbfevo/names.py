@@ -13,8 +13,8 @@ The value of a key that is a path (`KEYS`, and `resume`) is read by these rules:
 4. Unquoted, `null` is no name, `scenario.fixed=[...]` a box, and with -m `choice(...)` and the like are Hydra's.
 5. A leading `~` or `~user` is that user's home, where there is such a user, and else part of the name.
 
-Hydra notes where it works as if it were to be filled in, so that the path of a run or a sweep may hold `${x}` but no
-`${` that looks like nothing to be filled in, such as `${.`; that is refused.
+Hydra records its working directory in its configuration, so the path of a run or a sweep may hold `${x}`, but no `${`
+that cannot be parsed, such as `${.`: that is refused.
 """
 
 from __future__ import annotations
@@ -31,53 +31,55 @@ from rbfevo.errors import UserError
 
 DIRECTORIES = ("hydra.run.dir", "hydra.sweep.dir")
 LISTED = "scenario.fixed"  # a name, or the six numbers of a box
-FILES = ("template", "target", "scan")  # of a scenario
-KEYS = (*DIRECTORIES, *(f"scenario.{name}" for name in (*FILES, "sensitivity", "fixed")))
+FILES = ("template", "target", "scan")  # keys of a scenario that name a file
+MAYBE_FILES = (*FILES, "sensitivity", "fixed")  # the last two may also name an array of the template
+KEYS = (*DIRECTORIES, *(f"scenario.{name}" for name in MAYBE_FILES))
 SWEEP = ("-m", "--multirun")
 MISSING = "???"  # what stands for a missing value, to OmegaConf
 
 _QUOTED = re.compile(r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*\"""", re.DOTALL)
-_PLAIN = re.compile(r"[\w./+:%@?|*-]+", re.ASCII)  # what Hydra takes for a word without quotes, or for a number
+_PLAIN = re.compile(r"[\w./+:%@?|*-]+", re.ASCII)  # what Hydra reads without quotes, as text or as a number
 _INTERPOLATION = re.compile(r"(\\*)\$\{(?:\s*(?P<name>[A-Za-z_]\w*(?:\.\w+)*)\s*(?P<end>[:}\[]))?", re.ASCII)
 _SWEEP = re.compile(r"\s*(?:choice|range|interval|glob|sort|shuffle|tag)\s*\(.*\)\s*", re.DOTALL)
 
 
-def quoted(words: Sequence[str], roots: Collection[str]) -> list[str]:
-    """The words of a command line with those that give names written so that Hydra reads these.
+def quoted(arguments: Sequence[str], roots: Collection[str]) -> list[str]:
+    """The arguments of a command line, with the names in them written so that Hydra reads them unchanged.
 
     Args:
-        words: as the shell hands them over.
+        arguments: as the shell hands them over.
         roots: the keys at the top of the configuration, to which interpolations may refer.
     """
-    sweep, found = is_sweep(words), []
-    for word in words:
-        key, equals, value = word.partition("=")
+    sweep, found = is_sweep(arguments), []
+    for argument in arguments:
+        key, equals, value = argument.partition("=")
         plain = key.lstrip("+")
         if equals and plain in DIRECTORIES:
-            word = f"{key}={_written(plain, value, roots)}"
+            argument = f"{key}={_written(plain, value, roots)}"
         elif equals and plain in KEYS and not (sweep and _SWEEP.fullmatch(value)):
             parts = _parts(plain, value, roots) if sweep else [value]
             parts = [part.strip() for part in parts] if len(parts) > 1 else parts
-            word = f"{key}={','.join(_written(plain, part, roots) for part in parts)}"
-        found.append(word)
+            argument = f"{key}={','.join(_written(plain, part, roots) for part in parts)}"
+        found.append(argument)
     return found
 
 
-def is_sweep(words: Sequence[str]) -> bool:
+def is_sweep(arguments: Sequence[str]) -> bool:
     """Whether a command line asks for a sweep."""
-    return any(word in SWEEP for word in words)
+    return any(argument in SWEEP for argument in arguments)
 
 
 def word(key: str, name: str | Path) -> str:
-    """The word that gives a key this very name, whatever it is."""
+    """The override that gives a key exactly this name, whatever it is."""
     text = str(name)
     text = f"./{text}" if text.startswith("~") else text
     return f"{key}={_hydra(literal(text), always=text.lower() == 'null')}"
 
 
-def given(words: Sequence[str], key: str) -> list[str]:
-    """The names that words, once `quoted`, give a key; without those that Hydra has to fill in first."""
-    values = [word.partition("=")[2] for word in words if word.partition("=")[0].lstrip("+") == key]
+def given(arguments: Sequence[str], key: str) -> list[str]:
+    """The names that arguments, once `quoted`, give a key; without those that Hydra has to fill in first."""
+    parts = [argument.partition("=") for argument in arguments]
+    values = [value for name, _, value in parts if name.lstrip("+") == key]
     texts = [_unquoted(value) for value in values if value.lower() != "null"]
     return [_plain(text) for text in texts if all(len(part[1]) % 2 for part in _INTERPOLATION.finditer(text))]
 
@@ -92,7 +94,7 @@ def refuse_unheld(path: str | Path, what: str) -> None:
     try:
         OmegaConf.create({"path": str(Path(path).absolute())})
     except OmegaConfBaseException:
-        raise UserError(f"{what}: Hydra cannot work where a path holds such a ${{; choose another name") from None
+        raise UserError(f"{what}: Hydra cannot use a path with this ${{ in it; choose a path without it") from None
 
 
 def literal(name: str) -> str:

@@ -1,4 +1,4 @@
-"""`python -m rbfevo.show RUN`: turn a run's setups about in a window, or write pictures of them."""
+"""`python -m rbfevo.show RUN`: show a run's setups in a window, or write pictures of them."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ DESCRIPTION = f"""Show the setups of a run on the template, in a window with a s
 
 {chr(10).join(f"{keys:<11}{what}" for keys, what in KEYS)}
 
-Without a display, or with --pictures or --out, a picture is written instead: show-PICK.png in RUN, with the other
-choices in its name (show-knee-vs-best-regularity-left.png)."""
-EPILOG = """A picture is never overwritten, but for one in RUN that this command wrote itself and named so."""
+Without a display, or with --pictures or --out, a picture is written instead: RUN/show-PICK.png, with the other choices
+in its name (show-knee-vs-best-regularity-left.png)."""
+EPILOG = """Existing pictures are not overwritten, except those in RUN that this command named and wrote itself."""
 
 
 class BrokenError(Exception):
-    """A window or a picture that did not come about, for no mistake of the user's."""
+    """A window or a picture that could not be drawn, through no mistake of the user's."""
 
 
 def parser() -> parsers.Parser:
     """The options."""
     made = parsers.PickParser("rbfevo.show", DESCRIPTION, EPILOG, default=DEFAULT)
-    made.add_argument("--compare", metavar="PICK", help="a second setup beside it")
+    made.add_argument("--compare", metavar="PICK", help="a second setup, shown beside the first")
     made.add_argument(
         "--colour",
         choices=COLOURS,
         default="wanted",
-        help="by the wanted displacement, or by what the setup cannot reach; wanted",
+        help="wanted: the wanted displacement (default); left: the residual, what the setup cannot reach",
     )
-    made.add_argument("--shape", choices=SHAPES, default="template", help="which shape the template has; template")
-    made.add_argument("--out", type=Path, metavar="OUT", help="the picture to write (.png), or a directory for it")
+    made.add_argument("--shape", choices=SHAPES, default="template", help="the shape to show (default: template)")
+    made.add_argument("--out", type=Path, metavar="OUT", help="the .png file to write, or a directory for it")
     made.add_argument(
         "--pictures", "--no-display", action="store_true", help="write a picture, even where there is a display"
     )
@@ -67,39 +67,39 @@ def carry_out(options: argparse.Namespace) -> None:
         BrokenError: if there is no OpenGL, or it broke down.
     """
     record = read(options.run)
-    words = options.pick.strip() if options.pick is not None else _first(record)
-    state = State(record, words, _compared(record, options.compare), options.colour, options.shape)
+    chosen = options.pick.strip() if options.pick is not None else _first(record)
+    state = State(record, chosen, _compared(record, options.compare), options.colour, options.shape)
     if options.here:
         _draw(options, record, state)
         return
     displayed = has_display(os.environ)
-    command = [sys.executable, "-m", "rbfevo.show", os.path.abspath(options.run), "--here", "--pick", words]  # noqa: PTH100
+    command = [sys.executable, "-m", "rbfevo.show", os.path.abspath(options.run), "--here", "--pick", chosen]  # noqa: PTH100
     command += ["--colour", options.colour, "--shape", options.shape]
     command += [] if options.compare is None else ["--compare", options.compare]
     if displayed and options.out is None and not options.pictures:
-        print("in the window h lists the keys, q closes it", flush=True)
+        print("opening a window: press h to list the keys, q to close it", flush=True)
         _run(command, LONGEST, "the window", options.run)
         return
-    out = _place(options, words)
+    out = _place(options, chosen)
     if not displayed and options.out is None and not options.pictures:
-        print("there is no display: a picture is written instead of opening a window", flush=True)
+        print("there is no display: writing a picture instead of opening a window", flush=True)
     size = (options.run / "scenario.npz").stat().st_size
     command += ["--out", os.path.abspath(out)]  # noqa: PTH100
     _run(command, processes.TIMEOUT + processes.TIMEOUT_PER_BYTE * size, "the picture", options.run)
     for row in state.rows:
         print("; ".join(state.titles(row)))
-    print(f"picture: {out}", flush=True)
+    print(f"written: {out}", flush=True)
 
 
 def has_display(environment: Mapping[str, str], platform: str = sys.platform) -> bool:
-    """Whether a window can be hoped for: always on macOS and Windows, elsewhere if a display is named."""
+    """Whether a window may open: always on macOS and Windows, elsewhere if a display is named."""
     named = environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY")
     return platform in ("darwin", "win32") or bool(named)
 
 
-def picture_name(words: str, compare: str | None, colour: str, shape: str) -> str:
+def picture_name(chosen: str, compare: str | None, colour: str, shape: str) -> str:
     """The name of a picture: the picks, and the colouring and the shape where they are not the first ones."""
-    parts = [words.strip(), *(["vs", compare.strip()] if compare is not None else [])]
+    parts = [chosen.strip(), *(["vs", compare.strip()] if compare is not None else [])]
     parts += [colour] if colour != next(iter(COLOURS)) else []
     parts += [f"{shape}-shape"] if shape != next(iter(SHAPES)) else []
     return f"show-{'-'.join(parts).replace(':', '-')}.png"
@@ -114,24 +114,24 @@ def _first(record: Record) -> str:
     return DEFAULT
 
 
-def _compared(record: Record, words: str | None) -> int | None:
+def _compared(record: Record, chosen: str | None) -> int | None:
     try:
-        return None if words is None else pick(record, words)
+        return None if chosen is None else pick(record, chosen)
     except UserError as error:
         raise UserError(f"--compare: {error}") from None
 
 
-def _place(options: argparse.Namespace, words: str) -> Path:
+def _place(options: argparse.Namespace, chosen: str) -> Path:
     """Where the picture goes.
 
     Raises:
         UserError: if something is there that is not to be overwritten, or no directory can be made.
     """
-    name = picture_name(words, options.compare, options.colour, options.shape)
+    name = picture_name(chosen, options.compare, options.colour, options.shape)
     out = options.run / name
     if options.out is not None:
         if options.out.suffix.lower() not in ("", ".png") and not options.out.is_dir():
-            raise UserError(f"--out {options.out}: a picture is a .png; name one, or a directory that is there")
+            raise UserError(f"--out {options.out}: give a .png file or an existing directory")
         named = options.out.suffix.lower() == ".png" and not options.out.is_dir()
         out = options.out if named else options.out / name
         try:
@@ -139,7 +139,7 @@ def _place(options: argparse.Namespace, words: str) -> Path:
         except OSError as error:
             raise UserError(f"--out {options.out} cannot be written: {error.strerror or error}") from None
     if os.path.lexists(out) and (options.out is not None or not _own(out)):
-        raise UserError(f"{out} is there already and is not overwritten: choose another --out, or move it away")
+        raise UserError(f"{out} already exists and is not overwritten: choose another --out, or move it away")
     return out
 
 
@@ -158,10 +158,10 @@ def _run(command: list[str], timeout: float, what: str, run: Path) -> None:
     if code == processes.USER_ERROR:
         raise UserError(reason)
     if code != 0:
-        without = "without a window there is --pictures, " if what == "the window" else ""
+        pictures = "use --pictures, " if what == "the window" else ""
         raise BrokenError(
-            f"{what} broke down: {reason}; {without}without OpenGL there are report.html of the run, for a browser, "
-            f"and python -m rbfevo.figures {shlex.quote(str(run))}"
+            f"{what} could not be drawn: {reason}; {pictures}open the run's report.html in a browser, or draw without "
+            f"OpenGL by python -m rbfevo.figures {shlex.quote(str(run))}"
         )
 
 

@@ -146,11 +146,13 @@ def test_a_mesh_in_another_place_or_unit(tmp_path: Path, capsys: pytest.CaptureF
     compact, wide = a_run(tmp_path / "compact"), a_run(tmp_path / "wide", kernel="triharmonic")
     _, rows = moves(compact)
     (line,) = warned(compact, tmp_path / "a.npy", rows, capsys)
-    assert "no point of the mesh lies within reach of a center (support radius 0.9" in line
-    assert "box: x -1 .. 1, y -1 .. 1, z -1 .. 1" in line
+    assert "no point of the mesh lies within the support radius 0.9" in line
+    assert "box of the run: x -1 .. 1, y -1 .. 1, z -1 .. 1" in line
     assert "Mesh: x 40" in line
     lines = warned(wide, tmp_path / "a.npy", rows, capsys)
-    assert lines[0].startswith("the mesh lies outside the box of the run; another place or unit?")
+    assert lines[0].startswith(
+        "the mesh lies outside the box of the run; is the mesh in another place or unit than the run?"
+    )
     assert "300 points outside the box" in lines[1]
 
 
@@ -183,11 +185,11 @@ def test_inverted_triangles_and_tetrahedra(tmp_path: Path, capsys: pytest.Captur
     ]
     inverted = int((np.sign(volumes[0]) != np.sign(volumes[1])).sum())
     assert inverted > 0
-    message = f"the move turns {inverted} of {len(corners)} tetrahedra (the worst to"
-    assert line.startswith(f"warning: {message}")
-    assert message in refused
-    assert refused.endswith("or add --force\n")
-    limit = float(re.search(r"([\d.e-]+) times as large are the limit", refused)[1])  # pyright: ignore[reportOptionalSubscript]
+    said = f"the displacements turn {inverted} of {len(corners)} tetrahedra (the worst to"
+    assert line.startswith(f"warning: {said}")
+    assert said in refused
+    assert refused.endswith("or add --force to write the mesh anyway\n")
+    limit = float(re.search(r"multiply the displacements by less than ([\d.e-]+),", refused)[1])  # pyright: ignore[reportOptionalSubscript]
     for share, code in ((0.999 * limit, 0), (1.02 * limit, 2)):
         np.save(tmp_path / "rows.npy", share * 30 * rows)
         assert apply.main([*arguments, "--overwrite"]) == code
@@ -200,16 +202,16 @@ MISTAKES = {
     "RUN --pick index:0 --mesh MESH --out OUT": "one of the arguments --displacements --weights is required",
     GIVEN + " --weights ROWS": "not allowed with",
     GIVEN.replace("--pick index:0 ", ""): "--pick",
-    GIVEN.replace("index:0", "index:99"): "there are rows 0 to 3",
+    GIVEN.replace("index:0", "index:99"): "choose one from 0 to 3",
     GIVEN.replace("RUN", "PLACE"): "setups.npz is missing",
     GIVEN.replace("ROWS", "PLACE/gone.csv"): "--displacements PLACE/gone.csv: no such file",
-    GIVEN.replace("ROWS", "MESH"): "there are 6 centers: [6, 3] is expected",
+    GIVEN.replace("ROWS", "MESH"): "for 6 centers [6, 3] is expected",
     GIVEN.replace("MESH", "PLACE/gone.obj").replace("OUT", "PLACE/b.obj"): "gone.obj: no such file",
     GIVEN.replace("MESH", "PLACE/a.docx").replace("OUT", "PLACE/b.docx"): "unknown ending '.docx'",
     GIVEN.replace("MESH", "PLACE/nan.npy"): "1 of 2 points have coordinates that are not finite",
     GIVEN.replace("OUT", "PLACE/b.ply"): "choose the ending of the mesh, .npy, or one of .vtp, .vtu, .vtk",
-    GIVEN.replace("OUT", "MESH"): "is there already: choose another one, or add --overwrite",
-    GIVEN.replace("OUT", "PLACE/gone/b.npy"): "there is no directory",
+    GIVEN.replace("OUT", "MESH"): "already exists: choose another file, or add --overwrite",
+    GIVEN.replace("OUT", "PLACE/gone/b.npy"): "/gone does not exist; create it first",
 }
 
 
@@ -251,7 +253,7 @@ def test_centers_stay_on_the_plane_and_singular_ones_are_told(
     assert "numerically singular" in capsys.readouterr().err
     np.save(tmp_path / "rows.npy", np.full((1, 3), 1e308))
     assert apply.main([str(run), "--pick", "index:0", "--weights", str(tmp_path / "rows.npy"), *files]) == 2
-    assert "with such large numbers the deformed points are not finite" in capsys.readouterr().err
+    assert "its values are so large that deformed points are not finite" in capsys.readouterr().err
     assert not (tmp_path / "b.npy").exists()
 
 
@@ -331,9 +333,8 @@ def test_solids_of_every_kind_that_turn_inside_out_are_counted(kind: int) -> Non
     mesh = solid(kind)
     assert apply.inverted(mesh, BOX * [2.0, 3.0, 0.01]) == ""
     assert apply.inverted(mesh, BOX * [1.0, 1.0, -0.5]) == (
-        f"the move turns 1 of 1 {NAMES[kind]} (the worst to -0.5 times its volume) inside out or flat, so that no "
-        "solver "
-        "can use the mesh; displacements 0.667 times as large are the limit"
+        f"the displacements turn 1 of 1 {NAMES[kind]} (the worst to -0.5 times its volume) inside out or flat, and no "
+        "solver can use such a mesh; multiply the displacements by less than 0.667"
     )
     assert f"1 of 1 {NAMES[kind]} (the worst to 0 times" in apply.inverted(mesh, BOX * [1.0, 1.0, 0.0])
     turned = BOX[:, [1, 0, 2]] * [-1.0, 1.0, 1.0]

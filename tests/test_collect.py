@@ -67,7 +67,7 @@ def test_runs_that_cannot_be_read_or_are_there_twice_are_warned_of(sweep_directo
     out, err = capsys.readouterr()
     first, second = err.splitlines()
     assert first.startswith("warning: left out: 3: ")
-    assert second == "warning: 0, again: the same settings and seed; each of them counts"
+    assert second == "warning: 0, again: these runs have the same settings and seed; each of them counts"
     assert "4 runs; " in out
 
 
@@ -75,9 +75,9 @@ def test_runs_that_cannot_be_read_or_are_there_twice_are_warned_of(sweep_directo
     ("arguments", "message"),
     [
         (["nowhere"], "there is no such directory"),
-        (["."], "no run was found here or below"),
+        (["."], "there is no run here or below"),
         ([], "the following arguments are required: DIR; see python -m rbfevo.collect --help"),
-        (["sweep", "--out", "file"], "--out file cannot be made: File exists"),
+        (["sweep", "--out", "file"], "--out file cannot be created: File exists"),
         (["sweep", "--pick", "knee"], "unrecognized arguments: --pick knee"),
     ],
 )

@@ -198,11 +198,11 @@ def test_a_center_stays_on_its_plane() -> None:
         ({"kernel": "gauss"}, "kernel=gauss"),
         ({"support": None}, "support radius None"),
         ({"support": float("inf")}, "support radius inf"),
-        ({"symmetry": {"axis": "w", "at": 0.0}}, "not an axis"),
-        ({"symmetry": {"axis": "x"}}, "not an axis"),
-        ({"symmetry": "y"}, "not an axis"),
-        ({"symmetry": {"axis": ["x"], "at": 0.0}}, "not an axis"),
-        ({"symmetry": {"axis": "x", "at": float("nan")}}, "not an axis"),
+        ({"symmetry": {"axis": "w", "at": 0.0}}, "must have an axis"),
+        ({"symmetry": {"axis": "x"}}, "must have an axis"),
+        ({"symmetry": "y"}, "must have an axis"),
+        ({"symmetry": {"axis": ["x"], "at": 0.0}}, "must have an axis"),
+        ({"symmetry": {"axis": "x", "at": float("nan")}}, "must have an axis"),
     ],
 )
 def test_an_unknown_kernel_or_symmetry_is_one_line(summary: dict[str, Any], message: str) -> None:

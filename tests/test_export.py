@@ -256,7 +256,7 @@ def test_a_singular_psi_leaves_out_what_needs_it(
     with np.load(tmp_path / "out" / "setup.npz") as archive:
         assert ("U" in archive) == (manipulation == "indirect")
     assert ("left out: U in setup.npz" in output) == (manipulation == "direct")
-    assert "left out: displacements.csv: Psi is numerically singular" in output
+    assert "left out: displacements.csv: these centers cannot be moved one by one: their kernel matrix Psi is" in output
     (line,) = [line for line in output.splitlines() if line.startswith("next: ")]
     assert "--weights" in line
     assert apply.main(shlex.split(line.removeprefix("next: python -m rbfevo.apply "))) == 0
@@ -265,13 +265,13 @@ def test_a_singular_psi_leaves_out_what_needs_it(
 MISTAKES = {
     "RUN": "--pick",
     "RUN --pick nee": "choose one of knee",
-    "RUN --pick index:9": "there are rows 0 to 3",
+    "RUN --pick index:9": "choose one from 0 to 3",
     "RUN/nowhere --pick knee": "there is no such run directory",
     "RUN/setups.npz --pick knee": "is a file, not a run directory",
     "RUN --pick knee --step 0": "above 0",
     "RUN --pick knee --step nan": "above 0",
-    "RUN --pick knee --step 7": "up to 1",
-    "RUN --pick knee --step x": "neither a number nor a percentage",
+    "RUN --pick knee --step 7": "at most 1",
+    "RUN --pick knee --step x": "nor a percentage such as 5%",
     "RUN --pick knee --out RUN/setups.npz": "cannot be written",
     "RUN --pick knee --bogus": "--bogus",
 }

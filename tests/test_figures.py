@@ -370,7 +370,7 @@ def test_unusual_scenarios_are_drawn(tmp_path, settings):
 def test_an_unknown_kernel_still_shows_its_centers(tmp_path):
     image = centers.picture(read(write(tmp_path, kernel="wendland", support=None)))
     assert [axes.get_ylabel() for axes in colour_bars(image)] == ["height [model units]", "local error [model units]"]
-    assert any("not known for kernel=wendland" in text.get_text() for text in image.texts)
+    assert any("kernel=wendland with support radius" in text.get_text() for text in image.texts)
 
 
 def test_without_any_score_there_is_a_front_png_and_a_reason(tmp_path):
@@ -457,7 +457,7 @@ def test_a_surface_is_rendered(tmp_path, opengl):
 
 def test_a_crash_of_opengl_is_survived_by_matplotlib(tmp_path, broken_opengl):
     outcome = processes.draw_one(write(tmp_path, d=3), "centers")
-    assert outcome == (0, "centers.png was drawn without OpenGL: the process died of SIGSEGV")
+    assert outcome == (0, "centers.png was drawn without OpenGL: the process was ended by SIGSEGV")
     assert is_picture(tmp_path / "centers.png")
     assert leftovers(tmp_path) == {"centers.png"}
 
@@ -469,14 +469,14 @@ def test_a_crash_of_one_figure_spares_the_other(tmp_path, monkeypatch):
         return ["sh", "-c", "kill -ABRT $$"] if figure == "centers" else honest(run, figure, *options)
 
     monkeypatch.setattr(processes, "command", command)
-    assert figures.draw(write(tmp_path)) == ["centers.png could not be drawn: the process died of SIGABRT"]
+    assert figures.draw(write(tmp_path)) == ["centers.png could not be drawn: the process was ended by SIGABRT"]
     assert is_picture(tmp_path / "front.png")
 
 
 def test_a_process_that_hangs_or_cannot_start_is_a_warning(tmp_path, monkeypatch):
     monkeypatch.setattr(processes, "TIMEOUT", 0.2)
     monkeypatch.setattr(processes, "command", lambda *_: ["sleep", "20"])
-    assert figures.draw(tmp_path)[0] == "front.png could not be drawn: nothing was there after 0.2 s"
+    assert figures.draw(tmp_path)[0] == "front.png could not be drawn: it was not finished after 0.2 s"
     monkeypatch.setattr(processes, "command", lambda *_: ["/nowhere/python"])
     assert "No such file" in figures.draw(tmp_path)[1]
 
@@ -547,7 +547,7 @@ def test_a_broken_run_directory_is_one_clear_line(tmp_path, file, how, capsys):
 
 def test_arrays_that_do_not_fit_together_are_refused(tmp_path):
     change(write(tmp_path), regularity=np.zeros(3))
-    with pytest.raises(UserError, match="do not fit together"):
+    with pytest.raises(UserError, match="do not match"):
         read(tmp_path)
 
 

@@ -256,7 +256,7 @@ def test_reached_is_within_5_percent_by_an_independent_computation(
     heard: list[tuple[int, int, float]] = []
     found = fits(
         scenario, kernel, centers, MANIPULATIONS, which, generators=generators(3), generations=400,
-        say=lambda *line: heard.append(line),
+        report=lambda *line: heard.append(line),
     )  # fmt: skip
     assert all(fit.reached for fit in found)
     for b, fit in enumerate(found):
@@ -383,8 +383,8 @@ def test_a_fit_can_be_stopped_from_outside(scan: Scenario) -> None:
         ({"within": float("nan")}, "within=nan"),
         ({"smoothness": 1.0}, "fixed target"),
         ({"parents": 101}, "parents must be between"),
-        ({"generators": []}, "as many generators"),
-        ({"manipulation": ["direct", "direct"]}, "as many generators and manipulations"),
+        ({"generators": []}, "one generator and one manipulation each, not 0 and 1"),
+        ({"manipulation": ["direct", "direct"]}, "one generator and one manipulation each, not 1 and 2"),
         ({"centers": torch.zeros(1, 4, 3)}, r"must have shape \[B, m, 2\]"),
     ],
 )
@@ -497,7 +497,7 @@ def test_the_default_place_and_nothing_is_overwritten(
 MISTAKES = {
     "RUN": "--pick",
     "RUN --pick nee": "choose one of knee",
-    "RUN --pick index:99": "there are rows 0 to 5",
+    "RUN --pick index:99": "choose one from 0 to 5",
     "RUN/nowhere --pick knee": "there is no such run directory",
     "RUN --pick knee --seed x": "invalid int value: 'x'",
     "RUN --pick knee --seed -1": "--seed -1",
@@ -508,7 +508,7 @@ MISTAKES = {
     "RUN --pick knee --within -1": "within=-1.0",
     "RUN --pick knee --parents 200": "parents must be between",
     "RUN --pick knee --bogus": "--bogus",
-    "RUN --pick knee --out RUN/setups.npz": "cannot be made",
+    "RUN --pick knee --out RUN/setups.npz": "cannot be created",
 }
 
 
@@ -533,8 +533,8 @@ def test_a_run_that_cannot_be_rebuilt(
     config = run / ".hydra" / "config.yaml"
     honest = config.read_text()
     for wrong, message in (
-        (honest.replace("reject: boundary", "reject: none"), "has the scan changed?"),
-        (honest.replace("subdivisions: 2", "subdivisions: 1"), "other vertices now"),
+        (honest.replace("reject: boundary", "reject: none"), "(was a file of the scenario replaced?)"),
+        (honest.replace("subdivisions: 2", "subdivisions: 1"), "vertices of the scenario changed since"),
         (honest.replace("subdivisions: 2", "subdivisions: 77"), "1 to 8"),
         (honest.replace("support: 1.0", "support: 0.4"), "support is 1.0 in summary.json and 0.4 in"),
         (honest.replace("rbfevo.scoring.kernels.wendland", "os.system"), "unknown key; choose one of"),
@@ -549,7 +549,7 @@ def test_a_run_that_cannot_be_rebuilt(
         assert len(err.splitlines()) == 1
     config.unlink()
     assert main(arguments) == 2
-    assert "how this run was made is not known" in capsys.readouterr().err
+    assert "it is needed to build the scenario of this run again" in capsys.readouterr().err
 
 
 def test_a_singular_setup_is_one_line(
@@ -636,7 +636,7 @@ def test_a_fit_is_drawn_and_can_be_redrawn(
         (tmp_path / "broken").mkdir()
         (tmp_path / "broken" / "pyvista.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n")
         monkeypatch.setenv("PYTHONPATH", str(tmp_path / "broken"))
-        assert figures.draw(tmp_path / "fit") == ["fit.png was drawn without OpenGL: the process died of SIGSEGV"]
+        assert figures.draw(tmp_path / "fit") == ["fit.png was drawn without OpenGL: the process was ended by SIGSEGV"]
     else:
         assert figures_main.main([str(tmp_path / "fit"), "--only", "fit", "--no-opengl"]) == 0
     assert imread(tmp_path / "fit" / "fit.png")[..., :3].std() > 0.02

@@ -47,7 +47,7 @@ def test_a_sweep_that_is_started_again_does_nothing_twice(tmp_path, capsys):
     capsys.readouterr()
     assert sweep(tmp_path, "seed=0,1") == 0
     assert times(tmp_path) == before
-    assert "2 of 2 jobs were done already" in capsys.readouterr().err
+    assert "2 of 2 jobs were already done" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("figures", "made"), [("False", False), ("no", False), ("TRUE", True)])
@@ -234,7 +234,7 @@ def test_a_job_that_ended_without_a_word_is_told_of():
     assert jobs.summary(found) == [
         "1 of 2 jobs failed:",
         "  1 (b=3): its process ended without a result",
-        "start the same sweep again to take up what is not done, and nothing else",
+        "start the same sweep again to run only the jobs that are not done",
     ]
 
 

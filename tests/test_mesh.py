@@ -16,7 +16,7 @@ import trimesh
 from rbfevo.errors import UserError
 from rbfevo.methods.lloyd import lloyd
 from rbfevo.scenarios import mesh
-from rbfevo.scenarios.mesh import _sampler
+from rbfevo.scenarios.sampling import surface_sampler
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scenarios.templates import read_template
 
@@ -234,9 +234,9 @@ def test_rows_for_an_stl_file_are_doubted(folder: Path, tmp_path: Path) -> None:
 MISTAKES: list[tuple[dict[str, Any], str]] = [
     (
         {},
-        "one of scenario.target=FILE and scenario.sensitivity=NAME_OR_FILE (point arrays in the template: even, front,",
+        "either scenario.target=FILE or scenario.sensitivity=NAME_OR_FILE (point arrays in the template: even, front,",
     ),
-    ({"target": "bigger.ply", "sensitivity": "scalar"}, "both given"),
+    ({"target": "bigger.ply", "sensitivity": "scalar"}, "are both set"),
     ({"sensitivity": "zero"}, "zero at every vertex"),
     ({"sensitivity": "scaler"}, "scalar"),
     ({"sensitivity": "scalar", "sensitivity_kind": "cell"}, "nodal, density"),
@@ -253,15 +253,15 @@ MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"sensitivity": "scalar", "symmetry_at": 1.0}, "needs scenario.symmetry"),
     ({"sensitivity": "scalar", "keep_out": True}, "needs scenario.fixed"),
     ({"sensitivity": "scalar", "fixed": "nope"}, "scenario.fixed=nope"),
-    ({"sensitivity": "scalar", "fixed": "zero"}, "marks no vertex"),
+    ({"sensitivity": "scalar", "fixed": "zero"}, "fixes no vertex"),
     ({"sensitivity": "scalar", "fixed": [0, 0, 0]}, "a box is six numbers"),
     ({"sensitivity": "scalar", "fixed": [1, 0, 0, 0, 1, 1]}, "lies above"),
-    ({"sensitivity": "scalar", "fixed": [0, 0, 0, 1, 1, 1]}, "marks no vertex (the template spans 8 to 12"),
-    ({"sensitivity": "scalar", "fixed": [None] * 6}, "marks every vertex"),
+    ({"sensitivity": "scalar", "fixed": [0, 0, 0, 1, 1, 1]}, "fixes no vertex (the template spans 8 to 12"),
+    ({"sensitivity": "scalar", "fixed": [None] * 6}, "fixes every vertex"),
     ({"target": "bigger.ply", "target_scale": -1.0}, "scenario.target_scale=-1.0"),
     ({"target": "bigger.ply", "objective": "maximize"}, "belong to a sensitivity"),
     ({"sensitivity": "odd", "symmetry": "x"}, "antisymmetric"),
-    ({"target": "ball.vtp", "reject": "none"}, "no vertex is left that wants to move"),
+    ({"target": "ball.vtp", "reject": "none"}, "no vertex is left that should move"),
 ]
 
 
@@ -278,7 +278,7 @@ def test_mistakes_are_said_in_one_line(
 
 def test_mixed_units_are_asked_about(folder: Path, tmp_path: Path) -> None:
     BALL.copy().apply_scale(1.5).apply_translation(OFFSET).apply_scale(1000.0).export(tmp_path / "mm.stl")
-    with pytest.raises(UserError, match=r"are these two units.*scenario\.target_scale=0\.001"):
+    with pytest.raises(UserError, match=r"are their units different.*scenario\.target_scale=0\.001"):
         build(folder, target=str(tmp_path / "mm.stl"))
     scaled = build(folder, target=str(tmp_path / "mm.stl"), target_scale=0.001)
     plain = build(folder, target=str(folder / "bigger.ply"))
@@ -292,7 +292,9 @@ def test_no_template() -> None:
 
 def test_centers_on_one_triangle_are_uniform_in_it() -> None:
     corners = torch.tensor([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 3.0, 1.0]], dtype=torch.float64)
-    drawn = _sampler(corners, torch.tensor([[0, 1, 2]]))(40, 500, torch.Generator().manual_seed(0)).reshape(-1, 3)
+    drawn = surface_sampler(corners, torch.tensor([[0, 1, 2]]))(40, 500, torch.Generator().manual_seed(0)).reshape(
+        -1, 3
+    )
     # Shares of the corners: each is 1/3 in the mean, with mean square 1/6, and mean product 1/12.
     shares = torch.linalg.lstsq(torch.cat((corners[1:] - corners[0],)).T, (drawn - corners[0]).T).solution.T
     shares = torch.cat((1.0 - shares.sum(1, keepdim=True), shares), dim=1)
@@ -305,7 +307,7 @@ def test_centers_on_one_triangle_are_uniform_in_it() -> None:
 
 def test_triangles_are_drawn_by_their_area() -> None:
     corners = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [8, 0, 0], [5, 1, 0]], dtype=torch.float64)
-    drawn = _sampler(corners, torch.tensor([[0, 1, 2], [3, 4, 5]]))(1, 20_000, torch.Generator().manual_seed(0))
+    drawn = surface_sampler(corners, torch.tensor([[0, 1, 2], [3, 4, 5]]))(1, 20_000, torch.Generator().manual_seed(0))
     assert float((drawn[0, :, 0] > 3).double().mean()) == pytest.approx(0.75, abs=0.01)
 
 
@@ -341,7 +343,7 @@ def test_values_of_another_mesh_must_be_per_area(folder: Path, tmp_path: Path) -
     settings: dict[str, Any] = {"template": str(tmp_path / "a.vtp"), "sensitivity": str(tmp_path / "fine.csv")}
     with pytest.raises(UserError, match="sensitivity_match=nearest or interpolate"):
         mesh(**settings)
-    with pytest.raises(UserError, match="integrated values of another mesh depend on its cells"):
+    with pytest.raises(UserError, match="integrated values depend on the cells of their own mesh"):
         mesh(**settings, sensitivity_match="interpolate")
     made = mesh(**settings, sensitivity_match="interpolate", sensitivity_kind="density", weights="area")
     assert "interpolated between 8 nearest rows: largest distance" in made.notes["sensitivity rows"]

@@ -21,7 +21,7 @@ from rbfevo.commands.mesh_report import reported
 from rbfevo.errors import UserError
 from rbfevo.meshes import __main__ as report
 from rbfevo.meshes import cells, polygons
-from rbfevo.scenarios.surfaces import read_surface
+from rbfevo.scenarios.reading import read_surface
 from rbfevo.scenarios.templates import read_template
 
 

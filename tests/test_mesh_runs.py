@@ -203,9 +203,9 @@ def test_file_names_with_any_signs(template: Path, tmp_path: Path) -> None:
 
 
 def test_radii_that_do_not_fit_are_warned_about(template: Path, tmp_path: Path) -> None:
-    _, _, summary = run(tmp_path, template, "method=random", "method.population=5", "kernel.support=0.02")
-    assert "below the vertex spacing" in summary["warnings"][0]
-    assert "5 of 5 setups have centers (up to " in summary["warnings"][1]
+    _, _, said = run(tmp_path, template, "method=random", "method.population=5", "kernel.support=0.02")
+    assert "below the vertex spacing" in said["warnings"][0]
+    assert "5 of 5 setups have R = 0: some of their centers (up to " in said["warnings"][1]
 
 
 def test_a_percentage_is_of_the_boxs_diagonal(template: Path, tmp_path: Path) -> None:
@@ -223,7 +223,7 @@ def test_a_percentage_is_of_the_boxs_diagonal(template: Path, tmp_path: Path) ->
         (["scenario.fixed=[0,0]"], "a box is six numbers"),
         (["scenario.search_vertices=1"], "at least 100"),
         (["scenario.search_vertices=100", "centers=60"], "at least twice as many"),
-        (["scenario.symmetry", "y"], "a setting is written key=value"),
+        (["scenario.symmetry", "y"], "write an override as key=value"),
         (["scenario.sensitivity=nothing"], "scenario.sensitivity=nothing"),
     ],
 )

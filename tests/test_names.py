@@ -144,7 +144,7 @@ def test_a_home_is_that_of_a_user_that_there_is(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_directory_that_hydra_cannot_note_is_refused() -> None:
-    with pytest.raises(UserError, match="Hydra cannot work where a path holds such a"):
+    with pytest.raises(UserError, match="Hydra cannot use a path with this"):
         names.refuse_unheld("a/${.", "hydra.run.dir=a/${.")
     names.refuse_unheld("a/${x}", "hydra.run.dir")
 

@@ -60,10 +60,10 @@ def test_a_preference_picks_the_best_of_equation_9(preference: float) -> None:
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ("index:7", "there are rows 0 to 6"),
-        ("index:-1", "there are rows 0 to 6"),
-        ("index:1.5", "there are rows 0 to 6"),
-        ("index:", "there are rows 0 to 6"),
+        ("index:7", "choose one from 0 to 6"),
+        ("index:-1", "choose one from 0 to 6"),
+        ("index:1.5", "choose one from 0 to 6"),
+        ("index:", "choose one from 0 to 6"),
         ("index:4", "no finite centers and scores"),
         ("preference:1.5", "a number from 0"),
         ("preference:nan", "a number from 0"),

@@ -113,13 +113,13 @@ def test_export_and_apply_know_what_a_kernel_from_outside_does(gaussian: Path, t
 def test_what_a_representation_from_outside_does_not_offer_is_refused_in_a_line(modes: Path, tmp_path: Path) -> None:
     exported = python("rbfevo.export", str(modes), "--pick", "knee", "--out", str(tmp_path / "e"))
     assert exported.returncode == 0, exported.stderr
-    assert "left out: displacements.csv: the control points of representation=modes are not moved" in exported.stdout
+    assert "left out: displacements.csv: the control points of representation=modes cannot be moved" in exported.stdout
     arguments = [str(modes), "--pick", "knee", "--mesh", str(tmp_path / "e" / "template.vtp")]
     weights = ["--weights", str(tmp_path / "e" / "weights.csv")]
     assert python("rbfevo.apply", *arguments, *weights, "--out", str(tmp_path / "moved.vtp")).returncode == 0
     fitted = python("rbfevo.fit", str(modes), "--pick", "knee")
     assert (fitted.returncode, fitted.stderr.count("\n")) == (2, 1)
-    assert "a fit knows setups of centers" in fitted.stderr
+    assert "only setups of centers" in fitted.stderr
     waves = f"representation.file={modes.parent / 'waves.npy'}"
     for more, line in (
         (["method=lloyd"], "method=lloyd places centers, and representation=modes has none"),

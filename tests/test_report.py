@@ -264,7 +264,7 @@ def test_of_too_many_setups_dominated_ones_are_left_out(tmp_path):
     assert 3000 < len(rows) <= 4100
     assert set(np.flatnonzero(record.nondominated)) <= set(rows)
     assert seen["left_out"] == 6000 - len(rows)
-    assert f"{seen['left_out']:,} dominated ones left out" in seen["subtitle"]
+    assert f"{seen['left_out']:,} dominated setups left out" in seen["subtitle"]
 
 
 # --- written whole ---------------------------------------------------------------------------------------------------

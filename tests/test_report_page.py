@@ -571,7 +571,7 @@ def test_the_slider_goes_with_the_setups_that_are_swapped(page):
 def test_an_unknown_kernel_still_shows_its_centers(odd):
     odd.keyboard.press("e")
     settled(odd)
-    assert "not known" in (odd.text_content("#view-hint") or "")
+    assert "does not hold the residual" in (odd.text_content("#view-hint") or "")
     assert red(picture(odd, "#space-a")) > 100
 
 

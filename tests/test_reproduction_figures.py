@@ -216,7 +216,7 @@ def test_a_process_that_dies_is_reported_and_the_others_go_on(empty: Path, monke
 
     monkeypatch.setattr(processes, "command", command)
     assert figures.draw(empty) == [
-        "figure1.png was drawn without OpenGL: the process died of SIGSEGV",
-        "figure4.png could not be drawn: the process died of SIGSEGV",
+        "figure1.png was drawn without OpenGL: the process was ended by SIGSEGV",
+        "figure4.png could not be drawn: the process was ended by SIGSEGV",
     ]
     assert command_line.main([str(empty)]) == 1

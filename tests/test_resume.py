@@ -376,11 +376,11 @@ def test_some_words_may_change_on_the_way(half, word):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["seed=1"], "seed=1: this may not change"),
-        (["method.population=4"], "this may not change"),
-        (["hydra.run.dir=x"], "this may not change"),
-        (["-m"], "start it again in its hydra.sweep.dir"),
-        (["resume=other"], "one run at a time"),
+        (["seed=1"], "seed=1: this cannot change when a run is resumed"),
+        (["method.population=4"], "this cannot change when a run is resumed"),
+        (["hydra.run.dir=x"], "this cannot change when a run is resumed"),
+        (["-m"], "start it again with the same hydra.sweep.dir"),
+        (["resume=other"], "give one run, not several"),
     ],
 )
 def test_other_words_may_not(half, arguments, message):
@@ -388,7 +388,9 @@ def test_other_words_may_not(half, arguments, message):
         resume.split([f"resume={half}", *arguments])
 
 
-@pytest.mark.parametrize(("value", "message"), [("", "is expected"), ("nowhere", "there is no such directory")])
-def test_a_directory_that_is_not_there_is_one_line(value, message):
-    with pytest.raises(UserError, match=message):
+@pytest.mark.parametrize(
+    ("value", "said"), [("", "give the directory of a run"), ("nowhere", "there is no such directory")]
+)
+def test_a_directory_that_is_not_there_is_one_line(value, said):
+    with pytest.raises(UserError, match=said):
         resume.split([f"resume={value}"])

@@ -67,13 +67,13 @@ def test_a_key_leads_to_each_named_setup(state, record, key):
 def test_right_and_left_walk_along_the_whole_front_and_end_there(state, record):
     state.press("r")
     seen = [state.row]
-    while not state.said:
+    while not state.message:
         state.press("Left")
         seen.append(state.row)
     assert seen[:-1] == record.front[::-1].tolist()
-    assert "no setup on it has lower regularity" in state.said
+    assert "no setup on it has lower regularity" in state.message
     state.press("Right")
-    assert (state.row, state.said) == (record.front[1], "")
+    assert (state.row, state.message) == (record.front[1], "")
 
 
 def test_from_beside_the_front_it_goes_on_to_the_next_of_higher_or_lower_regularity(record):
@@ -95,7 +95,7 @@ def test_without_a_front_it_walks_along_all_setups_and_has_no_knee(tmp_path):
         state.press("Left")
     assert state.row == record.regularity.argmin()
     state.press("k")
-    assert "there is no knee" in state.said
+    assert "there is no knee" in state.message
     assert state.row == record.regularity.argmin()
 
 
@@ -122,7 +122,7 @@ def test_the_slider_follows_the_setup_chosen_by_a_key(state):
         state.press(key)
         fits = state.preferences(state.row)
         if fits is None:
-            assert f"row {state.row} is the best one for none" in state.slider_title()
+            assert f"row {state.row} is the best setup for none" in state.slider_title()
         else:
             assert fits[0] <= state.preference <= fits[1]
 
@@ -143,7 +143,7 @@ def test_c_keeps_a_setup_x_swaps_them_and_c_drops_it(state):
     state.press("c")
     assert state.rows == [knee]
     state.press("x")
-    assert (state.rows, state.said) == ([knee], "there is no setup to swap with: c keeps one")
+    assert (state.rows, state.message) == ([knee], "there is no setup to swap with: press c to keep one")
 
 
 def test_e_and_t_go_round_colours_and_shapes(state):
@@ -200,7 +200,7 @@ def test_what_a_run_does_not_tell_is_refused(tmp_path, settings, colours, shapes
     for key, option in (("e", "colour"), ("t", "shape")):
         state.press(key)
         assert getattr(state, option) == possible[option][1 % len(possible[option])]
-        assert bool(state.said) == (len(possible[option]) < len({"e": COLOURS, "t": SHAPES}[key]))
+        assert bool(state.message) == (len(possible[option]) < len({"e": COLOURS, "t": SHAPES}[key]))
 
 
 # --- arrays ----------------------------------------------------------------------------------------------------------
@@ -382,7 +382,7 @@ def test_without_a_display_a_picture_is_written(a_copy, capsys):
     first, title, last = captured.out.splitlines()
     assert "there is no display" in first
     assert title.startswith("knee, ")
-    assert last == f"picture: {a_copy / 'show-knee.png'}"
+    assert last == f"written: {a_copy / 'show-knee.png'}"
     picture = (a_copy / "show-knee.png").read_bytes()
     assert f"Software\0{SOFTWARE}".encode() in picture
     assert reddish(imread(a_copy / "show-knee.png")[..., :3], (0.0, 0.3)) > 500
@@ -432,7 +432,7 @@ def test_only_its_own_pictures_in_the_run_are_replaced(a_copy, drawn, capsys, tm
     assert "is not overwritten" in complaint(capsys, [str(a_copy), "--pick", "best-regularity"])
     assert (a_copy / "show-best-regularity.png").read_bytes() == b"mine"
     (tmp_path / "a.png").touch()
-    assert "a.png is there already" in complaint(capsys, [str(a_copy), "--out", str(tmp_path / "a.png")])
+    assert "a.png already exists" in complaint(capsys, [str(a_copy), "--out", str(tmp_path / "a.png")])
     assert len(drawn) == 2
 
 
@@ -440,10 +440,10 @@ def test_only_its_own_pictures_in_the_run_are_replaced(a_copy, drawn, capsys, tm
     ("options", "reason"),
     [
         (["--pick", "nose"], "pick=nose: there is no such pick; choose one of knee"),
-        (["--compare", "index:99"], "--compare: pick=index:99: there is no such row; there are rows 0 to 23"),
+        (["--compare", "index:99"], "--compare: pick=index:99: there is no such row; choose one from 0 to 23"),
         (["--colour", "red"], "invalid choice: 'red'"),
         (["--shape", "round"], "invalid choice: 'round'"),
-        (["--out", "a.jpg"], "--out a.jpg: a picture is a .png"),
+        (["--out", "a.jpg"], "--out a.jpg: give a .png file"),
         (["--colours", "left"], "unrecognized arguments"),
     ],
 )
@@ -470,7 +470,7 @@ def test_a_missing_opengl_that_kills_the_process_is_one_line(run, tmp_path, monk
     if what == "window":
         monkeypatch.setenv("DISPLAY", ":0")
     line = complaint(capsys, [str(run)], code=1)
-    assert f"the {what} broke down: the process died of SIGSEGV" in line
+    assert f"the {what} could not be drawn: the process was ended by SIGSEGV" in line
     assert f"python -m rbfevo.figures {run}" in line
     assert "report.html" in line
     assert not list(run.glob("*.png"))

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from rbfevo.errors import UserError
 from rbfevo.geometry import placement
 from rbfevo.meshes import ENDINGS
-from rbfevo.scenarios.surfaces import read_surface
+from rbfevo.scenarios.reading import read_surface
 
 BALL = trimesh.creation.icosphere(subdivisions=1, radius=3.0)
 SQUARE = np.array([[0.0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]])
@@ -384,7 +384,7 @@ def test_turning_is_a_rotation(up, front):
 
 @pytest.mark.parametrize("axis", ["w", "", "xy", "--x", "+", "1", None, 3])
 def test_bad_axes(axis):
-    with pytest.raises(UserError, match="up must be x, y, z"):
+    with pytest.raises(UserError, match=r"scenario\.up=.*: choose x, y, z, -x, -y or -z"):
         placement.turn(np.eye(3), axis, "z")
 
 

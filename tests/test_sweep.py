@@ -134,8 +134,8 @@ def test_links_are_followed_once_and_never_around(tmp_path):
 
 def test_a_directory_that_does_not_exist_or_holds_no_run_is_a_mistake(tmp_path):
     (tmp_path / "file").write_text("")
-    for directory, message in [("nowhere", "there is no such"), ("file", "is a file"), (".", "no run was found")]:
-        with pytest.raises(UserError, match=message):
+    for directory, said in [("nowhere", "there is no such"), ("file", "is a file"), (".", "there is no run here")]:
+        with pytest.raises(UserError, match=said):
             sweep.members(tmp_path / directory)
 
 
@@ -148,7 +148,7 @@ def test_runs_that_cannot_be_read_are_told_with_the_reason(tmp_path):
     members, unread = sweep.members(tmp_path)
     assert [member.name for member in members] == ["0"]
     expected = {"1: ": "scenario.npz is missing", "2: ": "summary.json cannot be read", "3: ": "config.yaml cannot be"}
-    for line, (start, reason) in zip(unread, [*expected.items(), ("4: ", "left no results")], strict=True):
+    for line, (start, reason) in zip(unread, [*expected.items(), ("4: ", "has no results")], strict=True):
         assert "\n" not in line
         assert line.startswith(start)
         assert reason in line
@@ -373,9 +373,9 @@ def test_the_same_job_run_again_and_one_that_was_stopped_are_told(tmp_path):
         a_run(tmp_path / name, **settings)
     a_run(tmp_path / "4", seed=2, stop_reason="interrupted by SIGINT")
     members = collected(tmp_path)
-    assert sweep.doubts(members) == [
-        "0, 1: the same settings and seed; each of them counts",
-        "4: stopped early (interrupted by SIGINT); it counts like the others",
+    assert sweep.warnings(members) == [
+        "0, 1: these runs have the same settings and seed; each of them counts",
+        "4: this run was stopped early (interrupted by SIGINT); it counts like the others",
     ]
     whole = sweep.groups(members)[0]
     assert (len(whole.runs), whole.seeds) == (4, 3)
@@ -465,8 +465,8 @@ def test_one_seed_shows_no_spread(tmp_path):
 def test_what_is_equal_is_level(tmp_path):
     a_run(tmp_path / "0", [0.5], [0.7], manipulation="direct")
     a_run(tmp_path / "1", [0.4], [0.7 * (1 + 1e-14)])
-    text = sentence(tmp_path, "best improvement potential: ")
-    assert text in ("direct: 0.7 (1 seed); level with it: indirect", "indirect: 0.7 (1 seed); level with it: direct")
+    found = sentence(tmp_path, "best improvement potential: ")
+    assert found in ("direct: 0.7 (1 seed); tied with it: indirect", "indirect: 0.7 (1 seed); tied with it: direct")
 
 
 def test_a_single_group_has_nothing_to_be_compared_with(tmp_path):
@@ -576,7 +576,7 @@ def test_the_searches_of_a_panel_are_compared_with_each_other(tmp_path):
     assert sentence(tmp_path, "best hypervolume: ").startswith("direct, nsga2: median 0.3438 (")
     assert sentence(tmp_path, "series, by median hypervolume: ") == (
         "nsga2 beats lloyd in 2 of 2 pairs, by a median factor of 3.4 "
-        "(lloyd: one setup a run, which has little hypervolume by itself)"
+        "(lloyd: only one setup per run, which by itself has little hypervolume)"
     )
     assert sentence(tmp_path, "manipulation, by median hypervolume: ").startswith(
         "direct beats indirect in the only pair"
@@ -599,4 +599,4 @@ def test_scores_that_are_all_missing_or_zero_lead_nothing(tmp_path):
     a_run(tmp_path / "0", [NAN], [NAN], manipulation="direct")
     a_run(tmp_path / "1", [0.0], [0.5])
     assert sentence(tmp_path, "best regularity: ") == "0 (1 seed)"
-    assert sentence(tmp_path, "manipulation, by median hypervolume: ") == "direct is level with indirect"
+    assert sentence(tmp_path, "manipulation, by median hypervolume: ") == "direct is tied with indirect"

@@ -139,7 +139,7 @@ def test_stl_is_merged_in_order_of_appearance(tmp_path):
     BALL.export(tmp_path / "ball.stl")
     template = read_template(tmp_path / "ball.stl")
     check_template(template)
-    assert template.notes == {"merged vertices": "240 points of the STL file, exactly equal ones merged: 42 vertices"}
+    assert template.notes == {"merged vertices": "240 points of the STL file, equal ones merged: 42 vertices"}
     assert template.count == 42
     soup, order = VERTICES.astype(np.float32)[TRIANGLES].reshape(-1, 3).tolist(), []
     for point in soup:
@@ -360,8 +360,8 @@ def test_triangles_without_area_and_unused_points(tmp_path, here):
     assert template.count == 8
     assert template.notes == {
         "dropped triangles": "3 of 7 triangles have no area and are left out",
-        "repeated triangles": "1 triangles repeat others and are left out",
-        "unused points": "4 of 8 points belong to no triangle, left out",
+        "repeated triangles": "1 triangles repeat another one and are left out",
+        "unused points": "4 of 8 points are in no triangle and are left out",
     }
 
 
@@ -382,7 +382,7 @@ def test_coincident_vertices_count_by_themselves(tmp_path, here):
     template = read_template(write_vtk(tmp_path / "a.vtu", {5: cells}, points))
     check_template(template)
     assert template.count == len(template.vertices) == 6
-    assert template.notes == {"coincident vertices": "2 vertices coincide with others; each counts by itself"}
+    assert template.notes == {"coincident vertices": "2 vertices coincide with others; each is counted separately"}
 
 
 def test_arrays_may_have_gaps(tmp_path, here):

@@ -37,45 +37,43 @@ def strip(twisted: bool, count: int = 20) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_a_sound_closed_surface_needs_no_word():
-    assert topology.words(*ball()) == {}
+    assert topology.oddities(*ball()) == {}
 
 
 def test_open_boundary():
     vertices, triangles = strip(twisted=False)
-    findings = topology.words(vertices, triangles)
-    assert findings == {"open boundary": "40 of 80 edges belong to one triangle only"}
+    found = topology.oddities(vertices, triangles)
+    assert found == {"open boundary": "40 of 80 edges belong to one triangle only"}
 
 
 def test_non_manifold_edges():
-    findings = topology.words(FAN, np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]))
-    assert findings["non-manifold edges"].startswith("1 of 7 edges")
+    found = topology.oddities(FAN, np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]]))
+    assert found["non-manifold edges"].startswith("1 of 7 edges")
 
 
 def test_pieces():
-    findings = topology.words(*parts(ball(), ball(10.0), (np.asarray(BOX.vertices) + 50.0, BOX.faces)))
-    assert findings == {"pieces": f"3 pieces that share no vertex; the largest has {len(BALL.vertices)} vertices"}
+    found = topology.oddities(*parts(ball(), ball(10.0), (np.asarray(BOX.vertices) + 50.0, BOX.faces)))
+    assert found == {"pieces": f"3 pieces that share no vertex; the largest has {len(BALL.vertices)} vertices"}
 
 
 def test_winding():
     vertices, triangles = ball()
     triangles = triangles.copy()
     triangles[7] = triangles[7, ::-1]
-    assert topology.words(vertices, triangles) == {
-        "winding": "at 3 edges the two triangles are wound against each other"
-    }
+    assert topology.oddities(vertices, triangles) == {"winding": "at 3 edges the two triangles have opposite winding"}
 
 
 def test_inside_out():
     vertices, triangles = ball()
-    findings = topology.words(*parts((vertices + 1e4, triangles[:, ::-1]), ball(-50.0)))
-    assert findings["inside out"] == "1 of 2 closed pieces have their normals inside"
+    found = topology.oddities(*parts((vertices + 1e4, triangles[:, ::-1]), ball(-50.0)))
+    assert found["inside out"] == "1 of 2 closed pieces have normals that point inwards"
     vertices, triangles = strip(twisted=False)
-    assert "inside out" not in topology.words(vertices, triangles[:, ::-1])
+    assert "inside out" not in topology.oddities(vertices, triangles[:, ::-1])
 
 
 @pytest.mark.parametrize(("shift", "expected"), [(1.0, True), (5.9, True), (6.1, False), (20.0, False)])
 def test_crossings(shift, expected):
-    assert ("crossings" in topology.words(*parts(ball(), ball(shift)))) == expected
+    assert ("crossings" in topology.oddities(*parts(ball(), ball(shift)))) == expected
 
 
 def test_crossings_agree_with_plane_by_plane():
@@ -97,16 +95,16 @@ def test_crossings_agree_with_plane_by_plane():
 
 def test_seams_and_touches_are_no_crossings():
     soup = np.asarray(BALL.triangles).reshape(-1, 3)
-    assert "crossings" not in topology.words(soup, np.arange(len(soup)).reshape(-1, 3))
+    assert "crossings" not in topology.oddities(soup, np.arange(len(soup)).reshape(-1, 3))
     base = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0], [1, 1, 0], [1, 2, 3], [2, 1, 3]])  # a corner upon a face
-    assert "crossings" not in topology.words(base, np.array([[0, 1, 2], [3, 4, 5]]))
+    assert "crossings" not in topology.oddities(base, np.array([[0, 1, 2], [3, 4, 5]]))
     base[3, 2] = -0.1
-    assert topology.words(base, np.array([[0, 1, 2], [3, 4, 5]]))["crossings"].endswith("2 edges pierce a triangle")
+    assert topology.oddities(base, np.array([[0, 1, 2], [3, 4, 5]]))["crossings"].endswith("2 edges pierce a triangle")
 
 
 def test_crossings_of_a_large_mesh_are_not_looked_for(monkeypatch):
     monkeypatch.setattr(topology, "MOST_TRIANGLES", len(BALL.faces) - 1)
-    assert topology.words(*ball())["crossings"].startswith("whether it passes through itself was not looked for")
+    assert topology.oddities(*ball())["crossings"].startswith("self-intersections were not searched for")
 
 
 def consistent(triangles: np.ndarray) -> bool:
@@ -142,7 +140,7 @@ def test_an_open_piece_is_wound_as_most_of_it():
 def test_a_moebius_strip_keeps_a_clash():
     vertices, triangles = strip(twisted=True)
     wound, _ = topology.oriented(vertices, triangles)
-    assert "winding" in topology.words(vertices, wound)
+    assert "winding" in topology.oddities(vertices, wound)
     np.testing.assert_array_equal(np.sort(wound, axis=1), np.sort(triangles, axis=1))
 
 
@@ -188,8 +186,8 @@ def test_the_wall_of_a_cavity_points_into_it() -> None:
     n = len(outer.vertices)
     vertices = np.concatenate([outer.vertices, inner.vertices])
     triangles = np.concatenate([outer.faces, inner.faces[:, ::-1] + n])
-    assert set(topology.words(vertices, triangles)) == {"pieces"}
+    assert set(topology.oddities(vertices, triangles)) == {"pieces"}
     assert topology.oriented(vertices, triangles)[1] == 0
     solid = np.concatenate([outer.faces[:, ::-1], inner.faces + n])
-    assert "1 of 2 closed pieces" in topology.words(vertices, solid)["inside out"]
+    assert "1 of 2 closed pieces" in topology.oddities(vertices, solid)["inside out"]
     assert topology.oriented(vertices, solid)[1] == len(outer.faces)

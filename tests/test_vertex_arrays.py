@@ -226,7 +226,9 @@ def test_zeros_beside_values_are_asked_about(tmp_path):
 
 
 def test_columns_without_names_are_taken_only_where_they_can_be_one_thing(tmp_path):
-    assert "no vector" in refusal(write(tmp_path, "a.csv", lines("", POINTS[:, 0], POINTS[:, 1], VALUES)))
+    assert "two of them are coordinates of the mesh" in refusal(
+        write(tmp_path, "a.csv", lines("", POINTS[:, 0], POINTS[:, 1], VALUES))
+    )
     assert "only the coordinates" in refusal(write(tmp_path, "b.csv", lines("", *POINTS.T)))
     path = write(tmp_path, "c.csv", lines("", *POINTS[::-1].T, VALUES[::-1]))
     np.testing.assert_array_equal(vertex_array(path, template(), "sensitivity"), PICKED)
@@ -256,13 +258,13 @@ def test_a_named_array_is_checked_as_well():
         ("long.npy", np.zeros((6, 3)), "it has 6 rows, but the mesh has 5 points"),
         ("two.csv", lines("", VALUES, VALUES), "it has 2 columns"),
         ("named.csv", lines("id,a,b", np.arange(5), VALUES, VALUES * 2), "2 columns or vectors of values (a; b)"),
-        ("many.csv", lines("a,b", VALUES, VALUES), "name the one that is meant sensitivity"),
+        ("many.csv", lines("a,b", VALUES, VALUES), "name the one to use sensitivity"),
         ("points.csv", lines("Points:0,Points:1,Points:2", *COORDINATES), "only ids and coordinates"),
         ("id.csv", lines("id", np.arange(5)), "only ids and coordinates"),
         ("moved.csv", lines("x,y,z,v", *(POINTS + 0.01).T, VALUES), "4 of 4 vertices have no row within 0.0001"),
         ("ids.csv", lines("id,v", np.arange(5) * 3, VALUES), "'id' (0 to 12, 5 rows) does not hold the numbers"),
-        ("twice.csv", lines("id,v", np.array([0, 1, 2, 3, 3]), VALUES), "'id' holds 1 ids twice"),
-        ("places.csv", lines("x,y,z", *VECTORS.T), "it holds only ids and coordinates (x, y, z), no values"),
+        ("twice.csv", lines("id,v", np.array([0, 1, 2, 3, 3]), VALUES), "'id' holds 1 ids more than once"),
+        ("places.csv", lines("x,y,z", *VECTORS.T), "it holds only ids and coordinates (x, y, z) and no values"),
         ("nan.csv", lines("", np.where(VALUES < 0, np.nan, VALUES)), "1 of 4 vertices have values"),
         ("empty.csv", " \n", "the file is empty"),
         ("header.csv", "a,b\n", "there are no lines with numbers in it"),
@@ -270,13 +272,13 @@ def test_a_named_array_is_checked_as_well():
         ("ragged.txt", "1 2\n3\n", "not a readable TXT file"),
         ("cube.npy", np.zeros((5, 3, 1)), "it is of shape 5 x 3 x 1"),
         ("number.npy", np.array(3.0), "it is of shape none"),
-        ("text.npy", np.array(["a"] * 5), "no real numbers (dtype <U1)"),
-        ("complex.npy", np.ones(5, complex), "no real numbers (dtype complex128)"),
-        ("records.npy", np.ones(5, "f8,f8"), "no real numbers"),
+        ("text.npy", np.array(["a"] * 5), "not real numbers (dtype <U1)"),
+        ("complex.npy", np.ones(5, complex), "not real numbers (dtype complex128)"),
+        ("records.npy", np.ones(5, "f8,f8"), "not real numbers"),
         ("objects.npy", np.array([1.0, None], object), "not a readable NPY file (Object arrays"),
         ("empty.npy", b"", "not a readable NPY file"),
-        ("two.npz", {"a": VALUES, "b": VALUES}, "it holds 2 arrays, none named 'sensitivity': a, b"),
-        ("none.npz", {}, "there is no array in it"),
+        ("two.npz", {"a": VALUES, "b": VALUES}, "it holds 2 arrays, but none named 'sensitivity': a, b"),
+        ("none.npz", {}, "it holds no array"),
         ("text.npz", "no archive", "not a readable NPZ file (File is not a zip file)"),
     ],
 )
@@ -381,7 +383,7 @@ def test_coordinates_that_are_too_coarse_to_tell_vertices_apart_are_refused(tmp_
     corners = np.array([[0.0, 0, 0], [5e-5, 0, 0], [1, 0, 0], [0, 1, 0]])
     close = template(vertices=corners, count=4, rows=np.arange(4), triangles=np.array([[0, 1, 3], [1, 2, 3]]))
     table = lines("x,y,z,v", *corners[[3, 2, 0]].T, np.arange(3.0))
-    assert "1 vertices share the nearest row with another" in refusal(write(tmp_path, "a.csv", table), of=close)
+    assert "1 vertices share their nearest row" in refusal(write(tmp_path, "a.csv", table), of=close)
     same = template(vertices=corners[[0, 0, 2, 3]], count=4, rows=np.arange(4))
     found = vertex_array(write(tmp_path, "b.csv", table), same, "sensitivity")
     np.testing.assert_array_equal(found, [2.0, 2.0, 1.0, 0.0])

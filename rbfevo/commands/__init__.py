@@ -1,1 +1,1 @@
-"""The command line: what is typed becomes runs and sweeps, and one clear line where it cannot."""
+"""The command line: its arguments become runs and sweeps, or one clear error message."""

@@ -1,7 +1,7 @@
-"""The jobs of a sweep: which are done already, where each one works, how many threads it has, and what became of it.
+"""The jobs of a sweep: which are done, the directory and threads of each one, and its outcome.
 
-Jobs may be processes of a launcher's, on other machines too; they leave their outcomes in files of the sweep's
-directory. What they are is recognized by their settings, not by their number.
+A launcher may start jobs as processes, also on other machines; they leave their outcomes in files of the sweep's
+directory. A job is recognized by its settings, not by its number.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from rbfevo.errors import UserError
 from rbfevo.files import write_whole
 from rbfevo.runs.directory import CHECKPOINT
 
-STATUS = ".jobs"  # in the sweep's directory: a directory for each time that it was started
+STATUS = ".jobs"  # in the sweep's directory: one directory for each start of the sweep
 START = "RBFEVO_START"  # where that directory is, for jobs in other processes
 
 
@@ -25,16 +25,16 @@ STOPPED = (130, 143)  # exit codes after SIGINT and SIGTERM
 
 
 class Outcome(NamedTuple):
-    """What became of a job.
+    """The outcome of a job.
 
     Attributes:
-        number, words, directory, sweep: of Hydra's, and the sweep's directory.
-        code: its exit code, None as long as there is none; message: why; skipped: whether it was done already.
+        number, overrides, directory: as Hydra has them; sweep: the sweep's directory.
+        code: its exit code, None until it ends; message: the reason for it; skipped: whether it was done before.
         figures, quiet: its settings, once they are known.
     """
 
     number: int
-    words: list[str]
+    overrides: list[str]
     directory: str
     sweep: str
     code: int | None
@@ -60,14 +60,14 @@ def begin(sweep: Path) -> Path:
 
 
 def tell(outcome: Outcome) -> None:
-    """Note what became of a job."""
+    """Save the outcome of a job."""
     place = Path(os.environ[START])
     place.mkdir(parents=True, exist_ok=True)
     write_whole(place / f"{outcome.number}.json", json.dumps(outcome._asdict()).encode())
 
 
 def outcomes(place: Path) -> list[Outcome]:
-    """What became of the jobs, by number."""
+    """The outcomes of the jobs, by number."""
     found = [Outcome(**json.loads(path.read_text())) for path in place.glob("*.json")]
     return sorted(found, key=lambda outcome: outcome.number)
 
@@ -98,12 +98,11 @@ def place_of(sweep: Path, numbered: Path, whole: str) -> tuple[Path, str]:
 
 def summary(found: list[Outcome]) -> list[str]:
     """The lines to print at the end of a sweep."""
-    common = set.intersection(*(set(outcome.words) for outcome in found)) if found[1:] else set()
+    common = set.intersection(*(set(outcome.overrides) for outcome in found)) if found[1:] else set()
 
-    def told(outcome: Outcome) -> str:
-        return (
-            f"  {outcome.number} ({' '.join(word for word in outcome.words if word not in common) or 'the only job'})"
-        )
+    def label(outcome: Outcome) -> str:
+        own = [override for override in outcome.overrides if override not in common]
+        return f"  {outcome.number} ({' '.join(own) or 'the only job'})"
 
     stopped = [outcome for outcome in found if outcome.code in STOPPED]
     failed = [outcome for outcome in found if outcome.code not in (0, None, *STOPPED)]
@@ -111,15 +110,15 @@ def summary(found: list[Outcome]) -> list[str]:
     skipped = sum(outcome.skipped for outcome in found)
     lines = []
     if skipped:
-        lines.append(f"{skipped} of {len(found)} jobs were done already")
+        lines.append(f"{skipped} of {len(found)} jobs were already done")
     if failed or lost:
         lines.append(f"{len(failed) + len(lost)} of {len(found)} jobs failed:")
-        lines += [f"{told(outcome)}: {outcome.message or 'no reason given'}" for outcome in failed]
-        lines += [f"{told(outcome)}: its process ended without a result" for outcome in lost]
+        lines += [f"{label(outcome)}: {outcome.message or 'no reason given'}" for outcome in failed]
+        lines += [f"{label(outcome)}: its process ended without a result" for outcome in lost]
     if stopped:
         lines.append("interrupted")
     if failed or lost or stopped:
-        lines.append("start the same sweep again to take up what is not done, and nothing else")
+        lines.append("start the same sweep again to run only the jobs that are not done")
     return lines
 
 

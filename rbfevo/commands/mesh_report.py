@@ -1,4 +1,4 @@
-"""What is in a mesh file, for people and for programs."""
+"""The contents of a mesh file, for people and for programs."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rbfevo.geometry.triangles import triangle_areas
 from rbfevo.meshes import cells, ending_of, opened
 from rbfevo.meshes.mesh import Mesh
 from rbfevo.meshes.surface import Surface
-from rbfevo.scenarios.surfaces import surface
+from rbfevo.scenarios.reading import surface
 from rbfevo.scenarios.templates import template_of
 
 
 def reported(path: Path, patches: list[str] | None = None) -> dict[str, Any]:
-    """What a file holds, as plain values.
+    """The contents of a file, as plain values.
 
     Keys: `file`, `format`, `points`, `vertices` (of the surface), `triangles`, `pieces`, `area`, `volume` (within a
     closed surface, else null), `cells` (how many of each kind), `box` (the lowest and highest corner), `arrays` and
@@ -61,7 +61,7 @@ def reported(path: Path, patches: list[str] | None = None) -> dict[str, Any]:
 
 
 def _measure(found: dict[str, Any], path: Path, mesh: Mesh, part: Surface) -> None:
-    """Add what a template of the file would be like."""
+    """Add the surface that the file would have as a template."""
     try:
         template = template_of(path, mesh, part)
     except UserError as error:
@@ -69,7 +69,7 @@ def _measure(found: dict[str, Any], path: Path, mesh: Mesh, part: Surface) -> No
         return
     found["vertices"], found["triangles"] = len(template.vertices), len(template.triangles)
     edges = topology.edges_of(len(template.vertices), template.triangles)
-    odd = topology.words(template.vertices, template.triangles, edges)
+    odd = topology.oddities(template.vertices, template.triangles, edges)
     found["area"] = float(triangle_areas(template.vertices, template.triangles).sum())
     found["pieces"] = topology.pieces(len(template.vertices), edges)
     if (edges.uses == 2).all() and "winding" not in odd:

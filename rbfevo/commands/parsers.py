@@ -1,4 +1,4 @@
-"""What all command lines share: how they are read, and the exit code and the one line with which they end.
+"""What all commands share: how arguments are read, the exit code, and the one line for an error.
 
 0 is success, 2 a user's mistake, 130 Ctrl-C, 143 SIGTERM, 1 a fault of the program or of the machine. A closed pipe
 (`| head`) silences a command and nothing else: its work goes on to the end, and the exit code is that of the work.
@@ -20,7 +20,7 @@ SUCCESS, MISTAKE, INTERRUPTED = 0, 2, 130
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser of `python -m NAME ...` whose complaints are one line."""
+    """A parser of `python -m NAME ...` that reports an error in one line."""
 
     def __init__(self, name: str, description: str, epilog: str = "") -> None:
         super().__init__(
@@ -43,9 +43,9 @@ class PickParser(Parser):
         from rbfevo.recorded.picks import PICKS  # with NumPy
 
         super().__init__(name, description, epilog)
-        self.add_argument("run", type=Path, metavar="RUN", help="a run directory, as python -m rbfevo leaves it")
-        which = f"which of its setups: {', '.join(PICKS)}"
-        which += "" if default is None else f"; {default}"
+        self.add_argument("run", type=Path, metavar="RUN", help="a run directory, made by python -m rbfevo")
+        which = f"the setup: {', '.join(PICKS)}"
+        which += "" if default is None else f" (default: {default})"
         self.add_argument("--pick", required=default is None, help=which)
 
 
@@ -60,7 +60,7 @@ def carried_out(
 
 
 def outcome(name: str, work: Callable[[], int | None]) -> int:
-    """The exit code of some work, 0 where it gives none; a mistake and Ctrl-C are one line."""
+    """Do some work and return its exit code (0 for None); a mistake and Ctrl-C print one line."""
     try:
         return work() or SUCCESS
     except UserError as error:
@@ -77,15 +77,15 @@ def complain(name: str, message: str) -> None:
 
 
 def start(main: Callable[[], int]) -> NoReturn:
-    """Let a command be the whole process: its exit code is the process's."""
+    """Carry out a command and end the process with its exit code."""
     steady_streams()
     sys.exit(main())
 
 
 def steady_streams() -> None:
-    """Let no line on stdout or stderr end this process: nobody may read it any more, or it may not be encodable.
+    """Keep stdout and stderr from ending this process when a pipe is closed or a character cannot be encoded.
 
-    What is written to a closed pipe is lost. File names that are no text are written as the bytes that they are.
+    What is written to a closed pipe is lost. File names that are not valid text are written as their bytes.
     """
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
@@ -104,7 +104,7 @@ def steady_streams() -> None:
 
 
 class _Pipe(io.FileIO):
-    """A file that becomes the null device once it is a pipe that nobody reads any more."""
+    """A file that is replaced by the null device once it is a closed pipe."""
 
     def write(self, content: Any) -> int:
         try:

@@ -1,4 +1,4 @@
-"""PyGeM's parameter file (.prm) for its RBF deformation: kernel, control points, where they go."""
+"""PyGeM's parameter file (.prm) for its RBF deformation: kernel, control points, and their new places."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rbfevo.errors import UserError
 from rbfevo.recorded.setup import Setup
 from rbfevo.scoring.kernels import Cubic, Wendland
 
-LINEAR = "PyGeM adds a linear polynomial to the RBFs, and so deforms differently between the control points"
+LINEAR = "PyGeM adds a linear polynomial to the RBFs, so it deforms differently between the control points"
 
 
 def parameters(setup: Setup, displacements: Array) -> bytes:
@@ -21,14 +21,14 @@ def parameters(setup: Setup, displacements: Array) -> bytes:
     """
     original = setup.centers_and_images().points
     if original.shape[1] < 3 or np.linalg.matrix_rank(original - original.mean(axis=0)) < 3:
-        raise UserError("PyGeM adds a linear polynomial in x, y and z, which control points in one plane do not fix")
+        raise UserError("PyGeM adds a linear polynomial in x, y and z, which points in one plane do not determine")
     deformed = original + setup.with_images(displacements)
     if isinstance(setup.kernel, Wendland):
         kernel = ["basis function: beckert_wendland_c2_basis", f"radius: {setup.kernel.support!r}"]
     elif isinstance(setup.kernel, Cubic):
         kernel = ["basis function: polyharmonic_spline", "radius: 1.0", "k: 3"]
     else:
-        raise UserError(f"PyGeM is not known to have the kernel {setup.name}")
+        raise UserError(f"PyGeM has no kernel that corresponds to {setup.name}")
     lines = ["# RBF parameters for PyGeM, written by rbfevo.", f"# {LINEAR}.", ""]
     lines += ["[Radial Basis Functions]", *kernel, "", "[Control points]"]
     for name, points in (("original", original), ("deformed", deformed)):

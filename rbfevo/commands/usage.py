@@ -1,4 +1,4 @@
-"""What `python -m rbfevo --help` prints: the groups with their options, and every key with its value."""
+"""The text of `python -m rbfevo --help`: the groups with their options, and every key with its value."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from omegaconf import OmegaConf
 from rbfevo.commands import overrides
 
 HEAD = """python -m rbfevo [KEY=VALUE ...]            one run
-python -m rbfevo -m KEY=VALUE,VALUE ...     a sweep: a run for each combination of the values
-python -m rbfevo resume=RUN [KEY=VALUE ...] go on with a run that was stopped
+python -m rbfevo -m KEY=VALUE,VALUE ...     a sweep: one run for each combination of the values
+python -m rbfevo resume=RUN [KEY=VALUE ...] continue a run that was stopped
 
-hydra.run.dir=DIR and, with -m, hydra.sweep.dir=DIR set where the results go; outputs/DATE/TIME unless given. A name
-with blanks, quotes, commas or other signs is given as it is: hydra.run.dir='a (1)' in a shell."""
-TAIL = """--cfg job shows what a run would be made of, --hydra-help what else Hydra can do.
-Of a run: python -m rbfevo.show, .figures, .export, .apply and .fit; of a sweep: python -m rbfevo.collect."""
+hydra.run.dir=DIR or, with -m, hydra.sweep.dir=DIR is the directory for the results (default: outputs/DATE/TIME).
+Names may hold spaces, quotes, commas and other signs: hydra.run.dir='a (1)' in a shell."""
+TAIL = """--cfg job prints the configuration of a run, --hydra-help the options of Hydra.
+For a run: python -m rbfevo.show, .figures, .export, .apply and .fit; for a sweep: python -m rbfevo.collect."""
 
 
-def text(words: Sequence[str], conf: Path) -> str:
-    """The help for some overrides: the keys are those of the options that they choose."""
-    config = OmegaConf.to_container(overrides.composed(words, conf), resolve=False)
+def text(arguments: Sequence[str], conf: Path) -> str:
+    """The help for some arguments: the keys are those of the options that they choose."""
+    config = OmegaConf.to_container(overrides.composed(arguments, conf), resolve=False)
     groups = [_group(path) for path in sorted(conf.iterdir()) if path.is_dir()]
     return "\n\n".join([HEAD, *groups, f"Keys, with the values of these options:\n{_lines(config)}", TAIL])
 
 
 def _group(directory: Path) -> str:
-    """A group and its options, with what their files say first."""
+    """A group and its options, each with the first comment of its file."""
     lines = [f"{directory.name}=..."]
     for path in sorted(directory.glob("*.yaml")):
         comments = (line.partition("#")[2].strip() for line in path.read_text().splitlines())
-        said = next((comment for comment in comments if comment and comment[0] != "@"), "")
-        lines.append(f"  {path.stem:<12} {said}".rstrip())
+        summary = next((comment for comment in comments if comment and comment[0] != "@"), "")
+        lines.append(f"  {path.stem:<12} {summary}".rstrip())
     return "\n".join(lines)
 
 

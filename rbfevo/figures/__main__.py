@@ -27,7 +27,7 @@ def draw_here(run: Path, figure: str, opengl: bool) -> None:
 
         write_whole(run / processes.file_of(figure), page(record, run).encode())
         return
-    from rbfevo.figures import style  # matplotlib takes a while: only once there is something to draw
+    from rbfevo.figures import style  # matplotlib takes long to import: only once there is something to draw
 
     if isinstance(record, FitRecord):
         from rbfevo.figures import fit
@@ -49,7 +49,7 @@ def parser() -> parsers.Parser:
     made = parsers.Parser("rbfevo.figures", "Redraw the figures of a run or a fit.")
     made.add_argument("run", type=Path, metavar="DIR", help="the directory of a run or of a fit")
     made.add_argument(
-        "--only", choices=(*processes.FIGURES, *processes.FIT_FIGURES), help="draw one figure, in this very process"
+        "--only", choices=(*processes.FIGURES, *processes.FIT_FIGURES), help="draw one figure, in this process"
     )
     made.add_argument("--no-opengl", action="store_true", help="with --only: draw surfaces without OpenGL")
     return made
@@ -76,7 +76,7 @@ def carry_out(options: argparse.Namespace) -> int:
         return max(outcome.exit_code for outcome in outcomes)
     try:
         draw_here(options.run, options.only, opengl=not options.no_opengl)
-    except (UserError, OSError) as error:  # `processes` tells of which figure
+    except (UserError, OSError) as error:  # `processes` names the figure
         print(" ".join(str(error).split()), file=sys.stderr)
         return processes.USER_ERROR
     return 0

@@ -1,4 +1,4 @@
-"""centers.png: where the centers of the best setups sit, over what they have to do and what they leave undone."""
+"""centers.png: the centers of the best setups, over the wanted displacement and over their residuals."""
 
 from __future__ import annotations
 

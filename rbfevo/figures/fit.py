@@ -1,4 +1,4 @@
-"""fit.png: the design before, what it should become, what it became with what is left, and how the error fell."""
+"""fit.png: the design at the start, its target, the fit with its residual, and the error by generation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def picture(record: FitRecord, *, opengl: bool = True) -> Figure:
         record: the fit.
         opengl: whether renderings may use OpenGL; without it matplotlib draws them.
     """
-    run, say = record.run, record.summary
+    run, summary = record.run, record.summary
     flat = run.vertices.shape[1] == 2
     start = _lifted(run.vertices)
     wanted = (run.gradient_norm or 1.0) * run.gradient
@@ -39,7 +39,7 @@ def picture(record: FitRecord, *, opengl: bool = True) -> Figure:
     shown = np.concatenate([start, target, record.deformed, centers, record.moved_centers])
     view = view_of(shown, 2 * radius, *((ABOVE, HEIGHTS_UP) if flat else (FRONT, UP)))
     across, upward = np.ptp(view.project(shown)[0], axis=0) / 2 + 2 * radius
-    high = SIDE * float(upward / across) if upward < across else SIDE  # a panel is no higher than what it shows
+    high = SIDE * float(upward / across) if upward < across else SIDE  # a panel is no higher than its contents
     colors = Colors(Normalize(0.0, float(record.local_error.max()) or 1.0), style.ERROR)
     clay = np.tile(to_rgb(CLAY), (len(start), 1))
     none = np.empty((0, 3))
@@ -82,32 +82,32 @@ def picture(record: FitRecord, *, opengl: bool = True) -> Figure:
         _curve(place(LEFT, BOTTOM, width - LEFT - RIGHT, CURVE), record)
         left = 0.15 / width
         figure.text(left, 1 - 0.24 / height, _title(record), fontsize=12, weight="bold", va="center")
-        line = f"{say['pick']} (row {say['row']}, {say['method']})   R = {say['regularity']:.4g}   "
-        line += f"P = {say['improvement_potential']:.4g} · {say['strategy']} strategy, seed {say['seed']}"
+        line = f"{summary['pick']} (row {summary['row']}, {summary['method']})   R = {summary['regularity']:.4g}   "
+        line += f"P = {summary['improvement_potential']:.4g} · {summary['strategy']} strategy, seed {summary['seed']}"
         figure.text(left, 1 - 0.48 / height, line, color=style.GREY, va="center")
     return figure
 
 
 def _curve(axes: Axes, record: FitRecord) -> None:
     """The error by generation on a logarithmic axis, the optimum and the goal."""
-    say = record.summary
+    summary = record.summary
     generations = np.arange(len(record.errors))
-    goal = (1 + say["within"]) * say["optimum"]
+    goal = (1 + summary["within"]) * summary["optimum"]
     axes.semilogy(generations, record.errors, color=style.BLUE, linewidth=1.6, label="error of the strategy's mean")
-    told = f"{100 * say['within']:.3g}% above the optimum"
-    if say["reached"]:
-        told += f": reached in {say['generations']:,} generations, {say['evaluations']:,} evaluations"
+    label = f"{100 * summary['within']:.3g}% above the optimum"
+    if summary["reached"]:
+        label += f": reached in {summary['generations']:,} generations, {summary['evaluations']:,} evaluations"
     else:
-        told += f": not reached in {say['generations']:,} generations"
-        told += f", {say['stop_reason']}" if say["stop_reason"] != "generations" else ""
-    axes.axhline(goal, color=style.ORANGE, linewidth=1.0, linestyle=(0, (5, 2)), label=told)
-    axes.axhline(say["optimum"], color=style.INK, linewidth=1.0, label=f"optimum {say['optimum']:.4g}")
+        label += f": not reached in {summary['generations']:,} generations"
+        label += f", {summary['stop_reason']}" if summary["stop_reason"] != "generations" else ""
+    axes.axhline(goal, color=style.ORANGE, linewidth=1.0, linestyle=(0, (5, 2)), label=label)
+    axes.axhline(summary["optimum"], color=style.INK, linewidth=1.0, label=f"optimum {summary['optimum']:.4g}")
     end = max(len(record.errors) - 1, 1)
     axes.set_xlim(0, 1.02 * end)
-    if say["reached"]:
+    if summary["reached"]:
         axes.plot(end, record.errors[-1], "o", color=style.BLUE, markersize=6, markeredgecolor="white", clip_on=False)
     axes.legend(loc="upper right", fontsize=9)
-    positive = [value for value in (*record.errors, say["optimum"]) if value > 0]
+    positive = [value for value in (*record.errors, summary["optimum"]) if value > 0]
     low, high = min(positive), max(positive)
     span = max(np.log10(high / low), 0.3)
     axes.set_ylim(low / 10 ** (0.2 * span), high * 10 ** (0.08 * span))

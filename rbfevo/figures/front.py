@@ -56,7 +56,7 @@ def scale_of(regularity: Array, found: Array) -> Scale:
     """Choose the x axis for the regularities [p] of all setups that are drawn.
 
     It is logarithmic if the better nine tenths of the `found` ones [q] span decades. Random setups do not count: they
-    nearly always do, and would squeeze a front that does not into a corner; nor does a front's thin tail.
+    nearly always do, and would squeeze a front that does not into a corner; nor does the thin tail of a front.
     """
     positive = regularity[regularity > 0]
     if positive.size == 0:
@@ -148,14 +148,14 @@ def _mark_knee(axes: Axes, scale: Scale, record: Record) -> None:
 
 
 def _subtitle(record: Record) -> str:
-    words = []
+    parts = []
     hypervolume = record.summary.get("hypervolume")
     if isinstance(hypervolume, int | float):
-        words.append(f"hypervolume {hypervolume:.5g}")
-    words.append(f"{record.centers.shape[1]} center{'s' * (record.centers.shape[1] != 1)}")
+        parts.append(f"hypervolume {hypervolume:.5g}")
+    parts.append(f"{record.centers.shape[1]} center{'s' * (record.centers.shape[1] != 1)}")
     if record.summary.get("seed") is not None:
-        words.append(f"seed {record.summary['seed']}")
+        parts.append(f"seed {record.summary['seed']}")
     lost = int((~record.scored).sum())
     if lost:
-        words.append(f"{lost} setup{'s' * (lost != 1)} without scores not shown")
-    return " · ".join(words)
+        parts.append(f"{lost} setup{'s' * (lost != 1)} without scores not shown")
+    return " · ".join(parts)

@@ -1,4 +1,4 @@
-"""Where a setup is needed and what it leaves: local errors of the estimated gradient, in plain NumPy from the files."""
+"""Local errors: lengths of the wanted displacement and of residuals, in plain NumPy from the files of a run."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ class Colors(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
-    """A setup that earns a column: its row in the files, what it is best at, and U U^+ g [n, k], None if unknown."""
+    """A setup with a column: its row in the files, its title, and U U^+ g [n, k], None if unknown."""
 
     index: int
     title: str
@@ -43,7 +43,7 @@ class Choice:
 
 @dataclasses.dataclass(frozen=True)
 class Row:
-    """A row of panels: its name, what draws one choice into one pair of axes, and its colour bar, if it has one."""
+    """A row of panels: its name, the function that draws one choice into axes, and its colour bar, if it has one."""
 
     label: str
     draw: Callable[[Axes, Choice], None]

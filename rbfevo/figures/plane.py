@@ -1,4 +1,4 @@
-"""The panels of a plane scenario: centers over the height field, the local error, and what the setup leaves."""
+"""The panels of a plane scenario: centers over the height field, the local error, and the residual."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def rows(record: Record, choices: list[Choice]) -> list[Row]:
         left = {choice.index: local_error(wanted - scale * np.asarray(choice.reached)) for choice in choices}
         colors = Colors(Normalize(0.0, max(float(error.max()) for error in left.values()) or 1.0), style.ERROR)
         draw = panel(record, lambda choice: left[choice.index], colors)
-        made.append(Row("what the\nsetup leaves", draw, colors, f"local error {unit}"))
+        made.append(Row("residual of\nthe setup", draw, colors, f"local error {unit}"))
     return made
 
 

@@ -1,4 +1,4 @@
-"""Each figure is drawn by a process of its own: a missing OpenGL can kill it, and must not take the run along."""
+"""Each figure is drawn by a separate process: a missing OpenGL can crash it, and must not end the run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ USER_ERROR = 2
 
 
 class Outcome(NamedTuple):
-    """How one figure went: the exit code (0: there is a new picture) and one line if something is worth saying."""
+    """The result of drawing one figure: the exit code (0: there is a new picture), and a warning or None."""
 
     exit_code: int
     warning: str | None
@@ -43,7 +43,7 @@ def draw(run: Path) -> list[str]:
 
 
 def draw_one(run: Path, figure: str) -> Outcome:
-    """Draw `figure` in a process of its own, and once more without OpenGL where the first attempt broke down."""
+    """Draw `figure` in a process of its own, and once more without OpenGL if the first attempt fails."""
     try:
         size = (run / "scenario.npz").stat().st_size
     except OSError:
@@ -51,13 +51,13 @@ def draw_one(run: Path, figure: str) -> Outcome:
     return draw_apart(figure, command(run, figure), figure in SURFACES, TIMEOUT + TIMEOUT_PER_BYTE * size)
 
 
-def draw_apart(figure: str, words: list[str], rendered: bool, timeout: float = TIMEOUT) -> Outcome:
-    """Run the command that draws `figure`; once more with --no-opengl if it is `rendered` and breaks down."""
-    code, reason = attempt(words, timeout)
+def draw_apart(figure: str, arguments: list[str], rendered: bool, timeout: float = TIMEOUT) -> Outcome:
+    """Run the command that draws `figure`; once more with --no-opengl if it is `rendered` and fails."""
+    code, reason = attempt(arguments, timeout)
     if code == 0:
         return Outcome(0, None)
     again = rendered and code not in (USER_ERROR, TOO_LONG)  # without OpenGL it takes no less time
-    if again and attempt([*words, "--no-opengl"], timeout)[0] == 0:
+    if again and attempt([*arguments, "--no-opengl"], timeout)[0] == 0:
         return Outcome(0, f"{file_of(figure)} was drawn without OpenGL: {reason}")
     return Outcome(USER_ERROR if code == USER_ERROR else 1, f"{file_of(figure)} could not be drawn: {reason}")
 
@@ -67,7 +67,7 @@ def command(run: Path, figure: str, *options: str) -> list[str]:
     return [sys.executable, "-m", "rbfevo.figures", os.path.abspath(run), "--only", figure, *options]  # noqa: PTH100
 
 
-def attempt(words: list[str], timeout: float) -> tuple[int, str]:
+def attempt(arguments: list[str], timeout: float) -> tuple[int, str]:
     """Run a command and return its exit code and, unless that is 0, the reason in one line."""
     package_root = str(Path(__file__).resolve().parents[2])
     inherited = os.environ.get("PYTHONPATH")
@@ -75,7 +75,7 @@ def attempt(words: list[str], timeout: float) -> tuple[int, str]:
     try:
         with tempfile.TemporaryDirectory() as elsewhere:  # a crash may leave a core file in its directory
             done = subprocess.run(
-                words,
+                arguments,
                 cwd=elsewhere,
                 env=environment,
                 stdin=subprocess.DEVNULL,
@@ -85,11 +85,11 @@ def attempt(words: list[str], timeout: float) -> tuple[int, str]:
                 timeout=timeout,
             )
     except subprocess.TimeoutExpired:
-        return TOO_LONG, f"nothing was there after {timeout:g} s"
+        return TOO_LONG, f"it was not finished after {timeout:g} s"
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         return 1, " ".join(str(error).split())
     if done.returncode < 0:
-        return done.returncode, f"the process died of {_signal_name(-done.returncode)}"
+        return done.returncode, f"the process was ended by {_signal_name(-done.returncode)}"
     lines = done.stderr.strip().splitlines()
     return done.returncode, lines[-1].strip() if lines else f"the process ended with exit code {done.returncode}"
 

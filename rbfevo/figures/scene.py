@@ -1,4 +1,4 @@
-"""What `python -m rbfevo.show` shows of a run, and what a key or the slider changes in it: no window, no drawing."""
+"""The state of `python -m rbfevo.show`, and how keys and the slider change it; without a window and drawing."""
 
 from __future__ import annotations
 
@@ -14,47 +14,47 @@ from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import setup
 
-COLOURS = {"wanted": "wanted displacement", "left": "what the setup cannot reach"}
+COLOURS = {"wanted": "wanted displacement", "left": "residual, what the setup cannot reach"}
 SHAPES = {"template": "template", "reached": "shape within reach", "wanted": "wanted shape"}
 NAMED = {"k": "knee", "r": "best-regularity", "p": "best-improvement-potential"}
 KEYS = (
     ("k r p", "knee, best regularity, best improvement potential"),
     ("Left Right", "along the front, to lower or higher regularity"),
-    ("c", "keep this setup to compare with, or drop the kept one"),
-    ("x", "swap the two"),
-    ("e", "colours: wanted displacement, what the setup cannot reach"),
+    ("c", "keep this setup for comparison, or drop the kept one"),
+    ("x", "swap the two setups"),
+    ("e", "colours: wanted displacement, residual"),
     ("t", "shape: template, within reach, wanted"),
-    ("v", "view from the start"),
+    ("v", "first view again"),
     ("s", "save a picture beside the run"),
     ("h", "show or hide the keys"),
     ("q Escape", "close"),
 )
-SOFTWARE = "rbfevo.show"  # what a picture says that it was written by
-MIDDLE = 0.5  # the preference of a start that came from none
-NEAR = 1e-12  # preferences are told apart to this
+SOFTWARE = "rbfevo.show"  # recorded in a picture as the program that wrote it
+MIDDLE = 0.5  # the first preference, unless the pick is one
+NEAR = 1e-12  # smaller differences of preferences do not count
 KEPT = 2**26  # numbers of reached displacements that are kept, 512 MB
 
 
 class State:
-    """What is shown of a run.
+    """The shown setups of a run, and how they are shown.
 
     Attributes:
-        record: the run; names: its named setups, word to row, those that it has.
+        record: the run; names: the rows of its named setups, those that it has.
         row: the setup shown; other: the one it is compared with, or None.
-        colour, shape: words of COLOURS and SHAPES.
+        colour, shape: keys of COLOURS and SHAPES.
         preference: where the slider stands, from 0 (improvement potential) to 1 (regularity).
-        keys_shown: whether the list of keys is shown; said: what the last key has to say, or "".
+        keys_shown: whether the list of keys is shown; message: the answer to the last key, or "".
     """
 
     def __init__(
-        self, record: Record, words: str, other: int | None = None, colour: str = "wanted", shape: str = "template"
+        self, record: Record, choice: str, other: int | None = None, colour: str = "wanted", shape: str = "template"
     ) -> None:
-        """Start with the setup that `words` pick (`rbfevo.recorded.picks`).
+        """Start with the setup that `choice` picks (`rbfevo.recorded.picks`).
 
         Raises:
             UserError: if there is no such setup, or this run does not hold what `colour` or `shape` needs.
         """
-        self.record, self.row, self.other = record, pick(record, words), other
+        self.record, self.row, self.other = record, pick(record, choice), other
         self.names = {}
         for name in NAMED.values():
             try:
@@ -62,18 +62,18 @@ class State:
             except UserError:  # no knee without a front
                 continue
         self._no_colour, self._no_shape = _refusals(record)
-        for option, word, refusals in (("colour", colour, self._no_colour), ("shape", shape, self._no_shape)):
-            if word in refusals:
-                raise UserError(f"--{option} {word}: {refusals[word]}")
+        for option, key, refusals in (("colour", colour, self._no_colour), ("shape", shape, self._no_shape)):
+            if key in refusals:
+                raise UserError(f"--{option} {key}: {refusals[key]}")
         self.colour, self.shape = colour, shape
-        self.keys_shown, self.said = False, ""
-        kind, _, value = words.strip().partition(":")
+        self.keys_shown, self.message = False, ""
+        kind, _, value = choice.strip().partition(":")
         self.preference = float(value) if kind == "preference" else MIDDLE
         self._follow()
 
-    def can(self, option: str, word: str) -> bool:
-        """Whether this run tells what the `colour` or the `shape` that `word` names needs."""
-        return word not in (self._no_colour if option == "colour" else self._no_shape)
+    def can(self, option: str, key: str) -> bool:
+        """Whether this run can be shown in the `colour` or the `shape` that `key` names."""
+        return key not in (self._no_colour if option == "colour" else self._no_shape)
 
     @property
     def rows(self) -> list[int]:
@@ -88,15 +88,15 @@ class State:
         return front if front.size else usable[np.argsort(self.record.regularity[usable], kind="stable")]
 
     def press(self, key: str) -> bool:
-        """Do what `key` (a keysym, letters in lower case) stands for; return whether it stands for anything here."""
-        self.said = ""
+        """Carry out the action of `key` (a keysym, letters in lower case); return whether it has one."""
+        self.message = ""
         if key in NAMED:
             self._choose(NAMED[key])
         elif key in ("Left", "Right"):
             self._walk(key == "Right")
         elif key == "c":
             self.other = self.row if self.other is None else None
-            self.said = "" if self.other is None else f"row {self.row} is kept: now choose another one"
+            self.message = "" if self.other is None else f"row {self.row} is kept: now choose another setup"
         elif key == "x":
             self._swap()
         elif key == "e":
@@ -111,14 +111,14 @@ class State:
 
     def prefer(self, preference: float) -> None:
         """Show the setup that maximizes preference R + (1 - preference) P (paper, eq. 9)."""
-        self.preference, self.said = min(max(float(preference), 0.0), 1.0), ""
+        self.preference, self.message = min(max(float(preference), 0.0), 1.0), ""
         self.row = pick(self.record, f"preference:{self.preference!r}")
 
     def preferences(self, row: int) -> tuple[float, float] | None:
         """The preferences, from and to, for which no usable setup beats `row`; None if there are none."""
         usable, (R, P) = self.record.usable, (self.record.regularity, self.record.improvement_potential)
         more_R, more_P = R[row] - R[usable], P[row] - P[usable]
-        slope = more_R - more_P  # preference * slope + more_P >= 0 is asked of every setup
+        slope = more_R - more_P  # preference * slope + more_P >= 0 must hold for every setup
         if (more_P[slope == 0] < 0).any():
             return None
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -128,7 +128,7 @@ class State:
         return (low, high) if low <= high + NEAR else None
 
     def titles(self, row: int) -> list[str]:
-        """What is written over a setup: what it is best at, its row and its scores."""
+        """The lines over a setup: its names, its row and its scores."""
         record = self.record
         names = [name.replace("-", " ") for name, its in self.names.items() if its == row]
         source, preference = str(record.method[row]), record.preference[row]
@@ -141,10 +141,10 @@ class State:
         ]
 
     def slider_title(self) -> str:
-        """What is written over the slider."""
+        """The title of the slider."""
         fits = self.preferences(self.row)
         if fits is None:
-            return f"preference (row {self.row} is the best one for none)"
+            return f"preference (row {self.row} is the best setup for none)"
         return "preference: 0 improvement potential, 1 regularity"
 
     def _choose(self, name: str) -> None:
@@ -152,7 +152,7 @@ class State:
             self.row = self.names[name]
             self._follow()
         else:
-            self.said = f"there is no {name}: no usable setup of this run is marked as nondominated"
+            self.message = f"there is no {name}: this run has no front (no usable setup is nondominated)"
 
     def _walk(self, up: bool) -> None:
         """One setup along the path; from beside it to the next one of higher or lower regularity."""
@@ -168,20 +168,20 @@ class State:
             self.row = int(path[place])
             self._follow()
         else:
-            self.said = f"the front ends here: no setup on it has {'higher' if up else 'lower'} regularity"
+            self.message = f"the front ends here: no setup on it has {'higher' if up else 'lower'} regularity"
 
     def _swap(self) -> None:
         if self.other is None:
-            self.said = "there is no setup to swap with: c keeps one"
+            self.message = "there is no setup to swap with: press c to keep one"
         else:
             self.row, self.other = self.other, self.row
             self._follow()
 
-    def _next(self, word: str, words: dict[str, str], refusals: dict[str, str]) -> str:
-        there = [each for each in words if each not in refusals]
-        if len(there) < len(words):
-            self.said = next(iter(refusals.values()))
-        return there[(there.index(word) + 1) % len(there)]
+    def _next(self, key: str, choices: dict[str, str], refusals: dict[str, str]) -> str:
+        possible = [choice for choice in choices if choice not in refusals]
+        if len(possible) < len(choices):
+            self.message = next(iter(refusals.values()))
+        return possible[(possible.index(key) + 1) % len(possible)]
 
     def _follow(self) -> None:
         """Move the slider to the nearest preference that leads to the row shown, if there is one."""
@@ -191,7 +191,7 @@ class State:
 
 
 def _refusals(record: Record) -> tuple[dict[str, str], dict[str, str]]:
-    """Which colours and which shapes this run cannot be shown in, and why."""
+    """The colours and the shapes in which this run cannot be shown, with the reasons."""
     colours, shapes, (d, k) = {}, {}, (record.vertices.shape[1], record.gradient.shape[1])
     try:
         setup(record, int(record.usable[0]))
@@ -209,7 +209,7 @@ class Fields:
     Attributes:
         highest: the value [model units, or unit norm] at which the colours end: the largest wanted displacement of a
             vertex, whatever is shown, so that all pictures of a run compare.
-        unit: what the values are in, in brackets; remark: what is to be said of shapes, or "".
+        unit: of the values, in brackets; remark: on the scale of shapes, or "".
         radius: of the balls that centers are drawn as, model units.
     """
 
@@ -238,7 +238,7 @@ class Fields:
         return template + self._stretch * spatial(moved)
 
     def values(self, row: int, colour: str) -> Array:
-        """The lengths [n] of the wanted displacement, or of what the setup leaves of it."""
+        """The lengths [n] of the wanted displacement, or of the setup's residual."""
         left = self.record.gradient if colour == "wanted" else self.record.gradient - self._reached(row)
         return self._scale * local_error(left)
 

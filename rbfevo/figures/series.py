@@ -34,7 +34,7 @@ def kinds(record: Record) -> dict[tuple[str, bool], list[int]]:
 
 
 def series(record: Record, method: str, preferred: bool) -> Series:
-    """Colours and marks of the paper; what the paper does not have keeps its colour and changes its mark."""
+    """Colours and marks of the paper; a series that the paper lacks keeps the colour and changes the mark."""
     if preferred:
         return Series(f"preferences ({method})", style.MAGENTA, "^", 52, 5)
     if method in ("nsga2", "gradient"):

@@ -1,4 +1,4 @@
-"""The panels of a surface in space: centers on the local error, on what the setup leaves, and the shape it reaches."""
+"""The panels of a surface in space: centers on the local error, on the residual, and the shape within reach."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def rows(record: Record, choices: list[Choice], opengl: bool) -> tuple[list[Row]
         highest = scale * max(float(error.max()) for error in left.values())
         colors = Colors(Normalize(0.0, highest or 1.0), style.ERROR)
         remaining = {index: colors.rgb(scale * error) for index, error in left.items()}
-        made.append(Row("what the setup leaves", panel(lambda choice: remaining[choice.index]), colors, unit))
+        made.append(Row("residual of the setup", panel(lambda choice: remaining[choice.index]), colors, unit))
     if shapes:
         clay = np.tile(to_rgb(CLAY), (len(record.vertices), 1))
         made.append(Row(f"shape within reach{remark}", panel(lambda _: clay, shapes)))

@@ -30,7 +30,7 @@ def render(
 ) -> None:
     """Show a surface with colours [n, 3] and red balls at `centers` [m, 3], an off-screen rendering by PyVista.
 
-    Balls behind the surface shine through: what they alone would show is blended over the surface. The larger the share
+    Balls behind the surface shine through: they are blended over the surface. The larger the share
     `ambient` of the light, the closer the picture keeps to `colors`.
 
     Raises:

@@ -16,9 +16,9 @@ FLATTEST = 0.65  # the least height of a panel over its width
 
 
 class View(NamedTuple):
-    """An orthographic camera: unit vectors right, up and towards it, what it looks at (all [3]), half its side.
+    """An orthographic camera: unit vectors right, up and towards it, its focus (all [3]), half its side.
 
-    `tall` is half the height of what it is to show, at most `half`.
+    `tall` is half the height of the shown points, at most `half`.
     """
 
     right: Array
@@ -52,9 +52,9 @@ def view_of(points: Array, margin: float, front: Array = FRONT, upward: Array = 
 
 
 def standpoint(record: Record) -> tuple[Array, Array]:
-    """Where the camera stands, and what is up [3]: before a face, or where most of what a mesh wants to do shows.
+    """Where the camera stands, and what is up [3]: before a face, or where most of the wanted displacement shows.
 
-    A mesh says which axis is up. The camera stands a little above one of its four corners.
+    The run of a mesh names the axis that is up. The camera stands a little above one of its four corners.
     """
     if record.summary.get("scenario") != "mesh":
         return FRONT, UP

@@ -1,6 +1,6 @@
 """The scene of `python -m rbfevo.show` in PyVista: in a window, or off-screen as a picture.
 
-VTK starts OpenGL, and dies where there is none: `rbfevo.show` does all this in a process of its own.
+VTK starts OpenGL, and crashes if there is none: `rbfevo.show` runs this module in a separate process.
 """
 
 from __future__ import annotations
@@ -17,80 +17,17 @@ from vtkmodules.vtkInteractionStyle import vtkInteractorStyleTrackballCamera
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.figures import style
+from rbfevo.figures.pane import Pane
 from rbfevo.figures.scene import COLOURS, KEYS, SHAPES, SOFTWARE, Fields, State
-from rbfevo.figures.surface import AMBIENT, DIFFUSE, GHOST
 from rbfevo.figures.view import standpoint, view_of
 from rbfevo.files import write_whole
 from rbfevo.recorded.record import Record
 
 SIZE = (1200, 860)  # pixels
-LOW, HIGH = 0.14, 0.86  # what setups are drawn between, of the window's height; texts and slider are around them
-PLACES = (1, 2)  # of the renderers of setups, in the plotter; the first one is behind them and has the rest
-IMAGE = "#f2a5a3"  # a mirror image of a center
-IN_FRONT = -66_000.0  # as near as OpenGL's depth goes: what shines through
+LOW, HIGH = 0.14, 0.86  # the part of the window's height for the setups; texts and slider are outside it
+PLACES = (1, 2)  # of the renderers of setups, in the plotter; the first one, behind them, has texts and slider
 LIVE = 50_000  # vertices up to which the scene follows the slider while it is dragged
 WINDOWLESS = ("vtkEGLRenderWindow", "vtkOSOpenGLRenderWindow")
-
-
-class Panel:
-    """One setup: its surface and its centers, in the renderer `place` of the plotter."""
-
-    def __init__(self, plotter: Any, place: int, record: Record, fields: Fields) -> None:
-        plotter.subplot(0, place)
-        self._plotter, self._place, self._fields = plotter, place, fields
-        vertices, faces = fields.points(0, "template"), record.faces
-        self.mesh = pyvista.PolyData.from_regular_faces(vertices, faces) if len(faces) else pyvista.PolyData(vertices)
-        self.mesh["values"] = fields.values(0, "wanted")
-        self._shape, self._smooth = (), len(faces) > 0
-        self.surface = plotter.add_mesh(
-            self.mesh,
-            scalars="values",
-            cmap=style.ERROR,
-            clim=(0.0, fields.highest),
-            ambient=AMBIENT,
-            diffuse=DIFFUSE,
-            specular=0.05,
-            point_size=4,
-            show_scalar_bar=False,
-            copy_mesh=False,
-        )
-        self.surface.prop.interpolation = "Phong"
-        self._balls: Any = pyvista.Sphere(radius=fields.radius, theta_resolution=20, phi_resolution=20)
-
-    def show(self, row: int, colour: str, shape: str) -> None:
-        """Show setup `row` in a colouring and a shape."""
-        drawn = shape, row if shape == "reached" else None
-        if drawn != self._shape:
-            self._shape = drawn
-            self.mesh.points = self._fields.points(row, shape)
-            if self._smooth:
-                smooth: Any = self.mesh.compute_normals(
-                    cell_normals=False, split_vertices=False, consistent_normals=False
-                )
-                self.mesh.point_data.active_normals = smooth["Normals"]
-        self.mesh["values"] = self._fields.values(row, colour)
-        self._plotter.subplot(0, self._place)
-        places, mirrored = self._fields.centers(row, shape)
-        colours = np.where(mirrored[:, None], pyvista.Color(IMAGE).int_rgb, pyvista.Color(style.RED).int_rgb)
-        cloud = pyvista.PolyData(places)
-        cloud["colour"] = colours.astype(np.uint8)
-        balls = cloud.glyph(geom=self._balls, scale=False, orient=False)
-        for name, opacity in (("centers", 1.0), ("hidden centers", GHOST)):
-            actor = self._plotter.add_mesh(
-                balls,
-                scalars="colour",
-                rgb=True,
-                opacity=opacity,
-                ambient=0.45,
-                diffuse=0.6,
-                specular=0.2,
-                name=f"{name} {self._place}",
-                reset_camera=False,
-                render=False,
-            )
-            if opacity < 1:
-                actor.mapper.SetResolveCoincidentTopologyToPolygonOffset()
-                actor.mapper.SetRelativeCoincidentTopologyPolygonOffsetParameters(0.0, IN_FRONT)
 
 
 class Window:
@@ -109,10 +46,10 @@ class Window:
         self.state, self._run, self._fields = state, run, Fields(record)
         self.plotter: Any = pyvista.Plotter(shape=(1, 3), border=False, off_screen=off_screen, window_size=list(SIZE))
         kind = self.plotter.render_window.GetClassName()
-        if not off_screen and kind in WINDOWLESS:  # VTK warns and goes on without a window, then waits forever
-            raise RuntimeError(f"the display cannot be opened (VTK offers {kind})")
+        if not off_screen and kind in WINDOWLESS:  # VTK would warn, go on without a window and wait forever
+            raise RuntimeError(f"the display cannot be opened (VTK offers only {kind})")
         self.plotter.background_color = pyvista.Color("white")
-        self._panels = [Panel(self.plotter, place, record, self._fields) for place in PLACES]
+        self._panes = [Pane(self.plotter, place, record, self._fields) for place in PLACES]
         self._stand(record)
         self._write_texts()
         self._slider: Any = None
@@ -129,7 +66,7 @@ class Window:
         self.plotter.show(title=f"rbfevo: {self._run}", auto_close=True)
 
     def press(self, key: str) -> None:
-        """Do what a key stands for (`rbfevo.figures.scene.KEYS`)."""
+        """Carry out the action of a key (`rbfevo.figures.scene.KEYS`)."""
         try:
             if key in ("q", "Escape"):
                 self.plotter.iren.terminate_app()
@@ -137,11 +74,11 @@ class Window:
             if key == "v":
                 self._look()
             elif key == "s":
-                self.state.said = f"written: {self.save()}"
+                self.state.message = f"written: {self.save()}"
             elif not self.state.press(key):
                 return
         except UserError as error:
-            self.state.said = str(error)
+            self.state.message = str(error)
         self._redraw()
         self.plotter.render()
 
@@ -163,7 +100,7 @@ class Window:
         return path
 
     def picture(self, bare: bool = False) -> Array:
-        """What is shown, [height, width, 3] uint8; `bare` without slider, keys and remarks.
+        """The scene as it is shown, [height, width, 3] uint8; `bare` without slider, keys and messages.
 
         Raises:
             RuntimeError: if the rendering stays empty, as it does with some broken OpenGL drivers.
@@ -179,7 +116,7 @@ class Window:
         return image
 
     def _stand(self, record: Record) -> None:
-        """Lights and one camera for both panels, so that they turn together."""
+        """Lights, and one camera for both panes, so that they turn together."""
         plotter, state = self.plotter, self.state
         shapes = [self._fields.points(0, "template")]
         if state.can("shape", "wanted"):
@@ -202,7 +139,7 @@ class Window:
         plotter.renderers[0].SetInteractive(False)
 
     def _look(self) -> None:
-        """Put the camera where it stands at the start."""
+        """Put the camera back to its first place."""
         camera, view = self.plotter.renderers[1].camera, self._view
         camera.focal_point = tuple(view.focus)
         camera.position = tuple(view.focus + 10 * view.half * view.towards)
@@ -212,15 +149,15 @@ class Window:
     def _write_texts(self) -> None:
         plotter, dark, grey = self.plotter, style.INK, style.GREY
 
-        def text(x: float, y: float, size: int, colour: str, words: str = "") -> Any:
-            made = plotter.add_text(words, position=(x, y), viewport=True, font_size=size, color=colour)
+        def text(x: float, y: float, size: int, colour: str, content: str = "") -> Any:
+            made = plotter.add_text(content, position=(x, y), viewport=True, font_size=size, color=colour)
             made.prop.SetLineSpacing(1.2)
             return made
 
         plotter.subplot(0, 0)
         title = text(0.02, 0.965, 10, dark, self.state.record.title)
         title.prop.bold = True
-        self._subtitle, self._said = text(0.02, 0.935, 8, grey), text(0.02, 0.008, 9, style.MAGENTA)
+        self._subtitle, self._message = text(0.02, 0.935, 8, grey), text(0.02, 0.008, 9, style.MAGENTA)
         self._heads = [text(0.02, 0.875, 9, dark), text(0.52, 0.875, 9, dark)]
         plotter.subplot(0, PLACES[0])  # over the setup
         self._keys = text(0.02, 0.03, 9, dark, "\n".join(f"{keys}: {what}" for keys, what in KEYS))
@@ -229,7 +166,7 @@ class Window:
         self._measured = text(0.55, 0.107, 9, dark)
         plotter.add_scalar_bar(
             title=" ",
-            mapper=self._panels[0].surface.mapper,
+            mapper=self._panes[0].surface.mapper,
             n_labels=5,
             vertical=False,
             fmt="%.3g",
@@ -260,28 +197,28 @@ class Window:
         )
 
     def _listen(self) -> None:
-        """Take over all keys: those of PyVista and of VTK would do other things as well."""
+        """Handle all keys here, instead of PyVista's and VTK's own actions."""
         self._slider.KeyPressActivationOff()  # i
         interaction: Any = vtkInteractorStyleTrackballCamera()
         interaction.AddObserver("CharEvent", lambda *_: None)  # instead of VTK's own e, f, p, q, r, s, u, w, 3
         inner = self.plotter.iren
         inner.style = interaction
         inner.clear_key_event_callbacks()
-        inner.add_observer("KeyPressEvent", lambda *_: self._heard(inner.interactor.GetKeySym()))
+        inner.add_observer("KeyPressEvent", lambda *_: self._key_pressed(inner.interactor.GetKeySym()))
 
-    def _heard(self, key: str | None) -> None:
+    def _key_pressed(self, key: str | None) -> None:
         if key:
             self.press(key if len(key) > 1 else key.lower())
 
     def _decorate(self, on: bool) -> None:
-        """Show or hide what belongs to a window and not to a picture."""
-        self._said.SetVisibility(on)
+        """Show or hide the parts that belong to a window and not to a picture."""
+        self._message.SetVisibility(on)
         self._keys.SetVisibility(on and self.state.keys_shown)
         if self._slider is not None:
             self._slider.GetRepresentation().SetVisibility(on)
 
     def _redraw(self) -> None:
-        """Bring everything to what the state says."""
+        """Update everything to the state."""
         state, fields = self.state, self._fields
         rows = state.rows
         for place, renderer in enumerate(self.plotter.renderers[1:]):
@@ -291,17 +228,17 @@ class Window:
             renderer.SetDraw(shown)
             self._heads[place].SetVisibility(shown)
             if shown:
-                self._panels[place].show(rows[place], state.colour, state.shape)
+                self._panes[place].show(rows[place], state.colour, state.shape)
                 self._heads[place].input = "\n".join(state.titles(rows[place]))
         width, height = self.plotter.window_size
-        wide = width / len(rows) / (height * (HIGH - LOW))  # a panel's width over its height
+        wide = width / len(rows) / (height * (HIGH - LOW))  # width of a pane over its height
         scale = float(max(self._half[1], self._half[0] / wide))
         camera = self.plotter.renderers[1].camera
         camera.parallel_scale = camera.parallel_scale * scale / self._scale if self._scale else scale  # keeps a zoom
         self._scale = scale
-        self._subtitle.input = self._drawn()
+        self._subtitle.input = self._description()
         self._measured.input = f"{COLOURS[state.colour]} {fields.unit}"
-        self._said.input = state.said or ("" if state.keys_shown else "h: keys")
+        self._message.input = state.message or ("" if state.keys_shown else "h: keys")
         self._decorate(True)
         if self._slider is not None:
             self._slider.GetRepresentation().SetValue(state.preference)
@@ -309,18 +246,18 @@ class Window:
         for renderer in self.plotter.renderers[1:]:
             renderer.ResetCameraClippingRange()
 
-    def _drawn(self) -> str:
+    def _description(self) -> str:
         """What is drawn, in a line."""
         state, record = self.state, self.state.record
         remark = f" ({self._fields.remark})" if state.shape != "template" and self._fields.remark else ""
-        images = ", lighter ones are their mirror images" if record.summary.get("symmetry") is not None else ""
-        moved = ", where they move to" if state.shape == "reached" else ""
+        images = ", their mirror images in light red" if record.summary.get("symmetry") is not None else ""
+        moved = ", at their moved places" if state.shape == "reached" else ""
         m = record.centers.shape[1]
         return f"{SHAPES[state.shape]}{remark}; {m} center{'s' * (m != 1)} in red{moved}{images}"
 
 
 def png(image: Array) -> bytes:
-    """A picture [height, width, 3] uint8 as the bytes of a PNG that says what wrote it."""
+    """A picture [height, width, 3] uint8 as the bytes of a PNG that names its software."""
     written = io.BytesIO()
     imsave(written, image, format="png", metadata={"Software": SOFTWARE})
     return written.getvalue()

@@ -1,4 +1,4 @@
-"""`python -m rbfevo.fit RUN --pick knee`: optimize the design with a setup of a run, and see how it goes."""
+"""`python -m rbfevo.fit RUN --pick knee`: optimize the design with a setup of a run."""
 
 from __future__ import annotations
 
@@ -25,15 +25,17 @@ DESCRIPTION = "Optimize the design with a setup of a run, and see how fast and h
 def parser() -> parsers.Parser:
     """The options; their defaults are those of `fits`, but for the smoothness."""
     made = parsers.PickParser("rbfevo.fit", DESCRIPTION)
-    made.add_argument("--manipulation", help="indirect, direct or orthogonalized; the run's unless given")
-    made.add_argument("--strategy", default="isotropic", help="isotropic (only the step size adapts) or cmaes")
-    made.add_argument("--seed", type=int, default=0)
-    made.add_argument("--generations", type=int, default=5000, help="at most so many (5000)")
-    made.add_argument("--within", type=float, default=0.05, help="of the optimum, where the fit stops (0.05)")
-    made.add_argument("--smoothness", type=float, help=f"weight of the Laplacian's term, scans only ({SMOOTHNESS:g})")
-    made.add_argument("--parents", type=int, default=25)
-    made.add_argument("--population", type=int, default=100)
-    made.add_argument("--out", type=Path, help="directory to write; RUN/fit-PICK-MANIPULATION-STRATEGY-seedN")
+    made.add_argument("--manipulation", help="indirect, direct or orthogonalized (default: that of the run)")
+    made.add_argument("--strategy", default="isotropic", help="isotropic (adapts only the step size; default) or cmaes")
+    made.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default: 0)")
+    made.add_argument("--generations", type=int, default=5000, help="the largest number of generations (default: 5000)")
+    made.add_argument("--within", type=float, default=0.05, help="stop at 1 + WITHIN times the optimum (default: 0.05)")
+    made.add_argument(
+        "--smoothness", type=float, help=f"weight of the Laplacian term, for scans (default: {SMOOTHNESS:g})"
+    )
+    made.add_argument("--parents", type=int, default=25, help="parents of a generation (default: 25)")
+    made.add_argument("--population", type=int, default=100, help="offspring of a generation (default: 100)")
+    made.add_argument("--out", type=Path, help="directory to write (default: RUN/fit-PICK-MANIPULATION-STRATEGY-seedN)")
     made.add_argument("--quiet", action="store_true", help="print nothing")
     return made
 
@@ -52,7 +54,7 @@ def carry_out(options: argparse.Namespace) -> int:
     record = read(options.run)
     row = pick(record, options.pick)
     if not 0 <= options.seed < 2**63:
-        raise UserError(f"--seed {options.seed}: choose a whole number from 0 to 2^63 - 1")
+        raise UserError(f"--seed {options.seed}: give a whole number from 0 to 2^63 - 1")
     refuse_others("strategy", options.strategy, FIT_STRATEGIES)
     if options.manipulation is not None:
         refuse_others("manipulation", options.manipulation, FIT_MANIPULATIONS)
@@ -65,12 +67,12 @@ def carry_out(options: argparse.Namespace) -> int:
     from rbfevo.runs.interruption import Interruption
     from rbfevo.scoring.threads import coarse
 
-    say = (lambda _: None) if options.quiet else (lambda line: print(line, flush=True))
+    show = (lambda _: None) if options.quiet else (lambda line: print(line, flush=True))
     with Interruption() as interruption, coarse():
         origin = source.rebuild(options.run, record)
         if origin.scenario.direction_only:
             raise UserError(
-                f"{options.run}: a sensitivity says where to move but not how far, so that there is nothing to fit; "
+                f"{options.run}: this run has a sensitivity, which gives a direction but no target to fit; "
                 "use python -m rbfevo.export and rbfevo.apply"
             )
         manipulation = options.manipulation or origin.manipulation
@@ -81,7 +83,7 @@ def carry_out(options: argparse.Namespace) -> int:
         )
         refuse_held(out, results.RESULTS, "--out")
         centers = torch.from_numpy(record.centers[row])
-        say(f"{options.pick}: row {row} of {options.run}, {manipulation} manipulation, {options.strategy} strategy")
+        show(f"{options.pick}: row {row} of {options.run}, {manipulation} manipulation, {options.strategy} strategy")
         start = time.perf_counter()
         (fit,) = strategy.fits(
             origin.scenario,
@@ -95,7 +97,7 @@ def carry_out(options: argparse.Namespace) -> int:
             smoothness=options.smoothness,
             parents=options.parents,
             population=options.population,
-            say=None if options.quiet else Progress(options.generations, start),
+            report=None if options.quiet else Progress(options.generations, start),
             stop=lambda: interruption.signal is not None,
         )
         seconds = time.perf_counter() - start
@@ -104,17 +106,17 @@ def carry_out(options: argparse.Namespace) -> int:
         summary = contents(options, record, row, out, manipulation, fit, seconds, interruption.signal)
         results.write_fit(out, origin, centers, fit, summary)
     for warning in figures.draw(out):
-        say(f"warning: {warning}")
+        show(f"warning: {warning}")
     for line in closing(summary, out):
-        say(line)
+        show(line)
     return 0 if interruption.signal is None else 128 + interruption.signal
 
 
 class Progress:
-    """A line now and then."""
+    """A line of progress, at most every ten seconds."""
 
     def __init__(self, generations: int, start: float) -> None:
-        self.generations, self._last = generations, start - 0.8 * LINE_EVERY  # the first line comes soon
+        self.generations, self._last = generations, start - 0.8 * LINE_EVERY  # the first line comes after two seconds
 
     def __call__(self, generation: int, running: int, ratio: float) -> None:
         now = time.perf_counter()
@@ -139,7 +141,7 @@ def contents(
     preference = float(record.preference[row])
     stop = fit.stop if interrupted is None else f"interrupted by {signal.Signals(interrupted).name}"
     return {
-        # From here to there, so that a run directory can be moved with the fits in it.
+        # Relative, so that a run directory can be moved with the fits in it.
         "run": os.path.relpath(options.run.resolve(), out.resolve()),
         "pick": options.pick.strip(),
         "row": row,

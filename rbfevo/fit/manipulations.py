@@ -52,20 +52,20 @@ def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulatio
     """
     refuse_others("manipulation", manipulation, MANIPULATIONS)
     if scenario.mirror is not None:
-        raise UserError("a fit moves centers one by one, which would break the symmetry of this run's setups")
+        raise UserError("setups with a symmetry plane cannot be fitted: a fit moves their centers one by one")
     n, d = scenario.vertices.shape
     if centers.ndim != 2 or centers.shape[1] != d or not 1 <= len(centers) <= n:
-        raise UserError(f"a setup must be [m, {d}] with 1 <= m <= {n}, not {list(centers.shape)}")
+        raise UserError(f"the centers of a setup must have shape [m, {d}], 1 <= m <= {n}, not {list(centers.shape)}")
     m, root = len(centers), scenario.weights.sqrt()[:, None]
     representation = RBF(kernel)
     Phi = representation.phi(scenario.vertices, centers)
     if not bool(centers.isfinite().all() and Phi.isfinite().all()):
-        raise UserError("the setup has centers that are not finite")
+        raise UserError("the setup has centers that are not finite: choose another setup")
     regularity, potential, variability = evolvability(Phi, scenario.gradient, scenario.weights)
     rank = round(float(variability) * n)
     if rank < m:
         raise UserError(
-            f"Phi is numerically rank-deficient ({rank} of {m} columns are independent): choose other centers"
+            f"Phi is numerically rank-deficient ({rank} of {m} columns are independent): choose another setup"
         )
     if manipulation == "indirect":
         return Deformation(Phi, torch.eye(m, dtype=Phi.dtype), float(regularity), float(potential))
@@ -73,8 +73,8 @@ def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulatio
         M = representation.psi(centers)
         inverse, _ = torch.linalg.inv_ex(M)
         if bool(singular(M, inverse)):
-            raise UserError("Psi is numerically singular, so that these centers cannot be moved directly: "
-                            "choose other centers or another manipulation")  # fmt: skip
+            raise UserError("Psi is numerically singular, so these centers cannot be moved directly: "
+                            "choose another setup or another manipulation")  # fmt: skip
         U = torch.linalg.solve(M.mT, Phi.mT).mT
     else:
         Q, M = torch.linalg.qr(root * Phi)

@@ -1,8 +1,8 @@
 """The error that a design optimization minimizes, in m coordinates instead of n vertices.
 
-With S = [sqrt(W) U; sqrt(smoothness) L U] = Q T (thin QR, never the normal equations, since U may be as ill-conditioned
-as it likes), v = T P are orthonormal coordinates of the deformation and |S P - y|^2 = |v - Q^T y|^2 + const: an error
-costs m x m, whatever n. Only a new set of closest points, one a generation, looks at vertices.
+With S = [sqrt(W) U; sqrt(smoothness) L U] = Q T (thin QR rather than the normal equations, since U may be
+ill-conditioned), v = T P are orthonormal coordinates of the deformation and |S P - y|^2 = |v - Q^T y|^2 + const: an
+error costs m x m, whatever n. Only a new set of closest points, one a generation, looks at vertices.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Pairs(NamedTuple):
 
     Attributes:
         target: [B, m, k] the best coordinates for these pairs.
-        floor: [B] what is left there.
+        floor: [B] the error at the target.
         error: [B] that of the design which the pairs were looked up for.
     """
 
@@ -37,7 +37,7 @@ class Pairs(NamedTuple):
 
 
 class Optimum(NamedTuple):
-    """The least error [B], its coordinates v [B, m, k], and how many times closest points were looked up for it [B]."""
+    """The least error [B], its coordinates v [B, m, k], and how often closest points were looked up for it [B]."""
 
     error: Tensor
     coordinates: Tensor
@@ -58,7 +58,7 @@ class Objective:
     Args:
         scenario: the design and what it should become.
         matrices: B deformation matrices U [n, m] of full rank, taken one at a time; none is kept.
-        smoothness: weight of the Laplacian's term, at least 0.
+        smoothness: weight of the Laplacian term, at least 0.
 
     Attributes:
         T: [B, m, m] upper triangular, v = T P.
@@ -66,16 +66,16 @@ class Objective:
         wanted: |t|_F, weighted: the square root of the error of P = 0.
 
     Raises:
-        UserError: if smoothness is negative or not finite, or asked for where the target is fixed.
+        UserError: if smoothness is negative or not finite, or positive where the target is fixed.
     """
 
     def __init__(self, scenario: Scenario, matrices: Iterable[Tensor], smoothness: float = 0.0) -> None:
         if not (math.isfinite(smoothness) and smoothness >= 0):
-            raise UserError(f"smoothness={smoothness}: a number of at least 0 is expected")
+            raise UserError(f"smoothness={smoothness}: give a number of at least 0")
         self._closest = scenario.closest
         if self._closest is None and smoothness > 0:
             raise UserError(
-                f"smoothness={smoothness}: scenario {scenario.name} has a fixed target, whose error has no such term"
+                f"smoothness={smoothness}: scenario {scenario.name} has a fixed target and takes none; leave it out"
             )
         n = len(scenario.vertices)
         root = scenario.weights.sqrt()[:, None]
@@ -86,7 +86,7 @@ class Objective:
         self.wanted = float(t.norm())
         L = umbrella(scenario.faces.numpy(), n) if smoothness > 0 else None
         factors = [self._factor(U, root, L, smoothness, t) for U in matrices]
-        names = ("T", "size", "_target", "_floor") if self._closest is None else ("T", "size", "_Q", "_rest")
+        names = ("T", "size", "_target", "_floor") if self._closest is None else ("T", "size", "_Q", "_regularizer")
         self._batched = names
         for name, parts in zip(names, zip(*factors, strict=True), strict=False):
             setattr(self, name, torch.stack(parts))
@@ -94,8 +94,8 @@ class Objective:
         self.size: Tensor
         self._target: Tensor  # [B, m, k] and [B], where the target is fixed
         self._floor: Tensor
-        self._Q: Tensor  # [B, fitted, m], and R of the other rows of Q: all that those which stay and L need
-        self._rest: Tensor
+        self._Q: Tensor  # [B, fitted, m] rows of Q; and R of its other rows, of the vertices that stay and of L
+        self._regularizer: Tensor
 
     def _factor(
         self, U: Tensor, root: Tensor, L: csr_array | None, smoothness: float, t: Tensor
@@ -122,7 +122,7 @@ class Objective:
         return chosen
 
     def pairs(self, coordinates: Tensor) -> Pairs:
-        """Look up what the designs of coordinates v [B, m, k] are compared with, and their errors."""
+        """Look up the closest points for the designs of coordinates v [B, m, k], and their errors."""
         if self._closest is None:
             error = (coordinates - self._target).square().sum((1, 2)) + self._floor
             return Pairs(self._target, self._floor, error)
@@ -131,7 +131,7 @@ class Objective:
         closest = torch.from_numpy(self._closest(points.reshape(-1, points.shape[-1]))).reshape(u.shape)
         y = self._root * (closest - self._start)
         target = self._Q.mT @ y
-        error = (u - y).square().sum((1, 2)) + (self._rest @ coordinates).square().sum((1, 2))
+        error = (u - y).square().sum((1, 2)) + (self._regularizer @ coordinates).square().sum((1, 2))
         floor = (error - (coordinates - target).square().sum((1, 2))).clamp(min=0)
         return Pairs(target, floor, error)
 
@@ -142,10 +142,10 @@ class Objective:
         return (v.unflatten(1, (offspring, k)) - pairs.target.mT[:, None]).square().sum((2, 3)) + pairs.floor[:, None]
 
     def optimum(self, tolerance: float = 1e-8, limit: int = 2000, stop: Callable[[], bool] | None = None) -> Optimum:
-        """The least error: exact for a fixed target, else where closest points and least squares in turn end up.
+        """The least error: exact for a fixed target, else the limit of closest points and least squares in turn.
 
         From P = 0, until a turn lowers the error by no more than `tolerance` of it, at most `limit` turns. It belongs
-        to the design space: no manipulation changes it. Where `stop()` is true it is left as it is.
+        to the design space: no manipulation changes it. Where `stop()` is true, the iteration ends early.
         """
         if self._closest is None:
             return Optimum(self._floor, self._target, torch.ones(len(self), dtype=torch.int64))
@@ -166,9 +166,9 @@ class Objective:
 
 
 def residuals(scenario: Scenario, displacement: Tensor) -> Tensor:
-    """What a displacement u [n, k] of the design leaves at each vertex, [n, k]: u - t, or what the closest point asks.
+    """The residuals [n, k] of a displacement u [n, k]: u - t, or the difference from the closest point.
 
-    Of the vertices that stay it is u itself. Model units; the Laplacian's term has no part in it.
+    For vertices that stay it is u itself. Model units; without the Laplacian term.
     """
     if scenario.closest is None:
         return displacement - scenario.gradient * scenario.gradient_norm

@@ -23,7 +23,7 @@ RESULTS = ("fit.json", "history.csv", "parameters.npz", "deformed.ply", "fit.png
 
 
 def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summary: dict[str, Any]) -> None:
-    """Write what became of a setup: centers [m, d] and `fit`; `summary` is the contents of fit.json.
+    """Write the result of a fit: centers [m, d] of the setup and `fit`; `summary` is the contents of fit.json.
 
     Raises:
         UserError: if the directory cannot be made or written to.
@@ -47,7 +47,7 @@ def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summar
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"{directory} cannot be made: {error.strerror or error}; choose another --out") from None
+        raise UserError(f"{directory} cannot be created: {error.strerror or error}; choose another --out") from None
     write_whole(directory / "parameters.npz", npz(arrays))
     write_whole(directory / "history.csv", csv_text(("generation", "error", "step_size"), lines))
     write_whole(directory / "deformed.ply", ply(deformed, scenario.faces.numpy(), local_error))

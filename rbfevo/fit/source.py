@@ -12,16 +12,13 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from rbfevo.errors import UserError
-from rbfevo.names import existing_home, literal
+from rbfevo.names import MAYBE_FILES, existing_home, literal
 from rbfevo.recorded.record import Record
 from rbfevo.runs.config import build, check
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.kernels import Kernel
 
 SAME = 1e-9  # how far vertices and gradient may be from those of the files, which another machine may have rounded
-
-
-FILES = ("scan", "template", "target", "sensitivity", "fixed")  # keys of a scenario that may name a file
 
 
 class Source(NamedTuple):
@@ -33,7 +30,7 @@ class Source(NamedTuple):
 
 
 def rebuild(run: Path, record: Record) -> Source:
-    """Build the scenario and kernel of a run again, and see that they are those of its files.
+    """Build the scenario and kernel of a run again, and check that they agree with its files.
 
     A relative path of a file is looked for here, and then in the directory that the run was started from.
 
@@ -41,9 +38,9 @@ def rebuild(run: Path, record: Record) -> Source:
         UserError: if the configuration is missing or wrong, or the scenario is another one by now.
     """
     if record.genotype is not None:
-        raise UserError(f"{run}: a fit knows setups of centers (representation=rbf) only")
+        raise UserError(f"{run}: only setups of centers (representation=rbf) can be fitted")
     config = _load(run / ".hydra" / "config.yaml")
-    for name in FILES:
+    for name in MAYBE_FILES:
         path = OmegaConf.select(config, f"scenario.{name}")
         if isinstance(path, str) and not existing_home(path).exists() and (run / ".hydra" / "hydra.yaml").exists():
             before = _began_in(run)
@@ -59,27 +56,27 @@ def rebuild(run: Path, record: Record) -> Source:
     except (OmegaConfBaseException, HydraException) as error:
         reason = " ".join(str(error).split())
         raise UserError(f"{run / '.hydra' / 'config.yaml'} is not the configuration of a run: {reason}") from None
-    said = {name: record.summary.get(name) for name in ("kernel", "support", "manipulation")}
+    recorded = {name: record.summary.get(name) for name in ("kernel", "support", "manipulation")}
     found = {"kernel": kernel.name, "support": kernel.support, "manipulation": settings.manipulation}
     for name, value in found.items():
-        if said[name] != value:
-            raise UserError(f"{run}: {name} is {said[name]} in summary.json and {value} in .hydra/config.yaml; "
+        if recorded[name] != value:
+            raise UserError(f"{run}: {name} is {recorded[name]} in summary.json and {value} in .hydra/config.yaml; "
                             "restore the file that was changed")  # fmt: skip
     for name in ("vertices", "faces", "gradient", "weights"):
         now, then = getattr(scenario, name).numpy(), getattr(record, name)
         if now.shape != then.shape or not np.allclose(now, then, rtol=0.0, atol=SAME):
             raise UserError(
-                f"{run}: the scenario has other {name} now than when this run scored its setups "
-                "(has the scan changed?); make a new run"
+                f"{run}: {name} of the scenario changed since this run scored its setups "
+                "(was a file of the scenario replaced?); start a new run"
             )
     return Source(scenario, kernel, settings.manipulation)
 
 
 def _began_in(run: Path) -> Path | None:
-    """The directory that a run was started from, which Hydra writes as it is, whatever it looks like."""
+    """The directory that a run was started from; Hydra writes it literally, so nothing in it is filled in."""
     runtime = OmegaConf.select(_load(run / ".hydra" / "hydra.yaml"), "hydra.runtime")
-    told = OmegaConf.to_container(runtime, resolve=False) if isinstance(runtime, DictConfig) else {}
-    before = told.get("cwd") if isinstance(told, dict) else None
+    entries = OmegaConf.to_container(runtime, resolve=False) if isinstance(runtime, DictConfig) else {}
+    before = entries.get("cwd") if isinstance(entries, dict) else None
     return Path(before) if isinstance(before, str) else None
 
 
@@ -87,7 +84,7 @@ def _load(path: Path) -> DictConfig:
     try:
         config = OmegaConf.load(path)
     except FileNotFoundError:
-        raise UserError(f"{path} is missing: how this run was made is not known") from None
+        raise UserError(f"{path} is missing: it is needed to build the scenario of this run again") from None
     except (OSError, ValueError, YAMLError, OmegaConfBaseException) as error:
         raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
     if not isinstance(config, DictConfig):

@@ -21,7 +21,7 @@ from rbfevo.methods.cmaes.algorithm import CMAES
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.kernels import Kernel
 
-FIRST_STEP = 0.3  # of the wanted displacement: what a first offspring moves the design by, about
+FIRST_STEP = 0.3  # of the wanted displacement: about how far a first offspring moves the design
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Fit:
         generations: until the error was within reach of the optimum, or until the fit stopped.
         evaluations: offspring scored.
         start_error: that of the undeformed design; optimum: the least there is; error: the last.
-        optimum_iterations: how many times closest points were looked up for the optimum; 0 if it was given.
+        optimum_iterations: how often closest points were looked up for the optimum; 0 if it was given.
         parameters: [m, k], of that error.
         errors, steps: [generations + 1] error and step size (unit of the parameters) by generation, the start first.
         regularity, improvement_potential: R and P of the setup under its manipulation.
@@ -72,15 +72,15 @@ def fits(
     parents: int = 25,
     population: int = 100,
     optima: Tensor | None = None,
-    say: Callable[[int, int, float], None] | None = None,
+    report: Callable[[int, int, float], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> list[Fit]:
     """Fit the design to its target from each of B setups, by (parents, population) evolution strategies from P = 0.
 
     The error (`Objective`) is minimized. A fit has reached it once the error of the strategy's mean is at most
     1 + within times the optimum. A first offspring moves the design by 0.3 of the wanted displacement, |t|_F, whatever
-    the unit of the parameters is. All offspring of a generation are scored with the closest points of its mean. What an
-    element does depends on its setup, settings and generator alone, up to rounding.
+    the unit of the parameters is. All offspring of a generation are scored with the closest points of its mean. The
+    steps of an element depend on its setup, settings and generator alone, up to rounding.
 
     Args:
         scenario, kernel: the design, what it should become, and phi.
@@ -90,9 +90,9 @@ def fits(
         generators: B generators, on the host.
         generations: cap.
         within: of the optimum, at least 0.
-        smoothness: weight of the umbrella Laplacian's term (targets with closest points only).
+        smoothness: weight of the umbrella Laplacian term (targets with closest points only).
         optima: [B] the least errors where they are known already (`Objective.optimum`; no manipulation changes them).
-        say: hears (generation, elements running, their largest error / optimum) after each generation.
+        report: called with (generation, elements running, their largest error / optimum) after each generation.
         stop: all fits end where it returns true.
 
     Returns:
@@ -130,8 +130,8 @@ def fits(
             optimum = Optimum(known, torch.empty(0), torch.zeros(len(rows), dtype=torch.int64))
         fitting = _Fitting(objective, optimum, [generators[b] for b in rows], k, **settings)
         while fitting.step(generations, within, stop):
-            if say is not None:
-                say(fitting.generation, len(fitting.running), fitting.ratio)
+            if report is not None:
+                report(fitting.generation, len(fitting.running), fitting.ratio)
         results |= {b: fitting.fit(i, population, *facts[b]) for i, b in enumerate(rows)}
     return [results[b] for b in range(len(centers))]
 
@@ -177,7 +177,7 @@ class _Fitting:
         return (genotypes * scale).unflatten(-1, (self.k, self.m)).mT
 
     def _look(self) -> Pairs:
-        """Closest points for the means, whose errors are written down."""
+        """Look up closest points for the means, and record their errors."""
         mean = self._decoded(self.search.mean)
         pairs = self.objective.pairs(self.objective.T @ mean)
         self.parameters[self.running] = mean
@@ -188,7 +188,7 @@ class _Fitting:
         return pairs
 
     def step(self, generations: int, within: float, stop: Callable[[], bool] | None) -> bool:
-        """Let those that are done go, and the others do one generation; False once nobody is left."""
+        """Remove the elements that are done and carry out one generation of the others; False if there are none."""
         reached = self._pairs.error <= (1 + within) * self._goal
         ended = "generations" if self.generation >= generations else "stopped" if stop is not None and stop() else ""
         done = torch.ones_like(reached) if ended else reached
@@ -213,7 +213,7 @@ class _Fitting:
         self._pairs = Pairs(*(part[elements] for part in self._pairs))
 
     def fit(self, i: int, population: int, regularity: float, potential: float) -> Fit:
-        """What became of element `i`."""
+        """The result of element `i`."""
         generations = len(self.errors[i]) - 1
         return Fit(
             stop=self.stops[i],
@@ -252,12 +252,12 @@ def _checked(
         raise UserError(f"centers must have shape [B, m, {d}], not {list(centers.shape)}")
     refuse_others("strategy", strategy, STRATEGIES)
     if generations < 0:
-        raise UserError(f"generations={generations}: at least 0 is needed")
+        raise UserError(f"generations={generations}: give a number of at least 0")
     if not (math.isfinite(within) and within >= 0):
-        raise UserError(f"within={within}: a number of at least 0 is expected")
+        raise UserError(f"within={within}: give a number of at least 0")
     names = [manipulation] * len(centers) if isinstance(manipulation, str) else list(manipulation)
     if len(names) != len(centers) or generators != len(centers):
         raise UserError(
-            f"{len(centers)} setups need as many generators and manipulations, not {generators} and {len(names)}"
+            f"{len(centers)} setups need one generator and one manipulation each, not {generators} and {len(names)}"
         )
     return names

@@ -1,1 +1,1 @@
-"""Planes of symmetry, where control points may sit, and what meshes are like: their edges, pieces, pairs and blocks."""
+"""Symmetry planes, regions for control points, and properties of meshes: edges, pieces, pairs and blocks."""

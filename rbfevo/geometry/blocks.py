@@ -11,7 +11,7 @@ from torch import Tensor
 
 @dataclasses.dataclass(frozen=True)
 class VertexBlocks:
-    """A design's vertices, reordered so that each block is compact in space, with what the passes over them need.
+    """A design's vertices, reordered so that each block is compact in space, with arrays for the passes over them.
 
     Attributes:
         X: [d, n] coordinates, contiguous per axis.

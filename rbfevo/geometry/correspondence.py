@@ -1,4 +1,4 @@
-"""Pair every vertex of the design with a point of the scan, and reject the pairs that mean nothing, as ICP does."""
+"""Pair every vertex of the design with a point of the scan, and reject meaningless pairs, as ICP does."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Points = NDArray[np.float64]
 Triangles = NDArray[np.int64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Query = Callable[[Points], tuple[Points, Indices]]  # points [p, 3] -> closest points [p, 3] and what they are in [p]
+Query = Callable[[Points], tuple[Points, Indices]]  # points [p, 3] -> closest points [p, 3] and their triangles [p]
 
 _TOUCHING = 1e-9  # of the scan's size: closest points on an edge are that exact
 _NEIGHBOURS = 24
 _WIDEST_GAP = np.deg2rad(120.0)
 _SIDEWAYS = 0.5
-_ORDINARY = 200  # binary digits before or after the point: products of four lengths, which VTK works out, are floats
+_ORDINARY = 200  # binary digits before or after the point: VTK computes products of four lengths in floats
 
 
 def closest_on_surface(points: Points, vertices: Points, triangles: Triangles) -> tuple[Points, Indices]:
@@ -33,7 +33,7 @@ def closest_on_surface(points: Points, vertices: Points, triangles: Triangles) -
 
 
 def surface_query(vertices: Points, triangles: Triangles) -> Query:
-    """Return `closest_on_surface` for one surface, to be asked many times: the search tree is built once."""
+    """Return `closest_on_surface` for one surface, for many queries: the search tree is built once."""
     import pyvista
 
     size = int(np.frexp(np.abs(vertices).max())[1])
@@ -89,7 +89,7 @@ def closest_in_cloud(points: Points, cloud: Points) -> tuple[Points, Indices]:
 
 
 def cloud_query(cloud: Points) -> Query:
-    """Return `closest_in_cloud` for one cloud, to be asked many times: the search tree is built once."""
+    """Return `closest_in_cloud` for one cloud, for many queries: the search tree is built once."""
     tree = KDTree(cloud)
 
     def query(points: Points) -> tuple[Points, Indices]:

@@ -1,12 +1,12 @@
 """Symmetry about a plane: every center has a mirror image, and the two move as mirror images of each other.
 
 With c' the image of c, the displacement that the parameters p_c cause is phi(|c - x|) p_c + phi(|c' - x|) p_c', where
-p_c' is p_c with its component across the plane turned over. So column c of U is phi_c + phi_c' for the components of a
-displacement along the plane, and phi_c - phi_c' for the component across it.
+p_c' is p_c with the sign of its component across the plane changed. So column c of U is phi_c + phi_c' for the
+components of a displacement along the plane, and phi_c - phi_c' for the component across it.
 
 A center on the plane is its own image: it counts twice along the plane and has no column across. So R jumps there: of
 a pair that comes close, the column across vanishes and takes R with it, while a center on the plane has none to lose.
-Searches therefore keep the number of centers on the plane, but for those that a bound stops just there.
+Searches therefore keep the number of centers on the plane, except for those that a bound stops exactly there.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class Mirror(NamedTuple):
         """
         if not float(lower[axis]) <= at <= float(upper[axis]):
             raise UserError(
-                f"the symmetry plane {'xyz'[axis]} = {at:g} does not cross the box, where {'xyz'[axis]} runs from "
-                f"{float(lower[axis]):g} to {float(upper[axis]):g}"
+                f"the symmetry plane {'xyz'[axis]} = {at:g} does not cross the box ({'xyz'[axis]} from "
+                f"{float(lower[axis]):g} to {float(upper[axis]):g}); check scenario.symmetry_at"
             )
         return Mirror.of_box(axis, at, lower, upper)
 

@@ -1,4 +1,4 @@
-"""Where each vertex of a design wants to go: its closest point on a scan or target, unless the pair means nothing."""
+"""The wanted displacement of each vertex: to its closest point on a scan or target, unless the pair is rejected."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def pair(points: Points, outward: Points, vertices: Points, triangles: Triangles
         UserError: for another choice.
     """
     if reject not in REJECTIONS:
-        raise UserError(f"reject must be one of {', '.join(REJECTIONS)}, not {reject!r}")
+        raise UserError(f"scenario.reject={reject}: choose one of {', '.join(REJECTIONS)}")
     rejected = behind = np.zeros(len(points), bool)
     if triangles is None:
         query = correspondence.cloud_query(vertices)
@@ -50,9 +50,11 @@ def pair(points: Points, outward: Points, vertices: Points, triangles: Triangles
             rejected = correspondence.on_open_boundary(closest, triangle, vertices, triangles)
         behind = correspondence.from_behind(triangle, outward, ~rejected, vertices, triangles)
     displacement = np.where(rejected[:, None], 0.0, closest - points)
-    notes = {"rejected": f"{int(rejected.sum())} of {len(points)} vertices stay (reject={reject})"}
+    notes = {"rejected": f"{int(rejected.sum())} of {len(points)} vertices have no pair and stay (reject={reject})"}
     total = (displacement**2).sum()
     if behind.any() and total > 0:
         share = (displacement[behind] ** 2).sum() / total
-        notes["from behind"] = f"{int(behind.sum())} vertices reach the scan's inner side ({share:.1%} of |g|^2)"
+        notes["from behind"] = (
+            f"{int(behind.sum())} vertices are paired with the inner side of the scan ({share:.1%} of |g|^2)"
+        )
     return Pairing(displacement, rejected, notes, query)

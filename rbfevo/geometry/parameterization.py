@@ -1,4 +1,4 @@
-"""Genotype -> centers: what keeps setups symmetric and out of the regions where no center may sit."""
+"""From points in the box to centers: setups stay symmetric and out of the region where no center may sit."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Region(Protocol):
 
 
 class BoxRegion:
-    """The inside of a box [d], [d], which centers leave through its nearest side that lies within the scenario's.
+    """The inside of a box [d], [d]; centers leave it through its nearest side that lies within the scenario's box.
 
-    With a mirror, it is the box and its image; where they meet the plane, no way leads through it.
+    With a mirror, it is the box and its image; where they meet the plane, centers do not leave through it.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class BoxRegion:
         return ((heights > self.lower.to(points)) & (heights < self.upper.to(points))).all(-1)
 
     def project(self, points: Tensor, kept: int | None = None) -> tuple[Tensor, Tensor]:
-        """See `Region`; points stay where there is no way out."""
+        """See `Region`; points that cannot leave stay where they are."""
         lower, upper, heights = self.lower.to(points), self.upper.to(points), self._heights(points)
         ways = torch.stack((heights - lower + self._down.to(points), upper - heights + self._up.to(points)), dim=-2)
         if kept is not None:
@@ -81,9 +81,9 @@ class BoxRegion:
 
 
 class VertexRegion:
-    """All that is closer to a fixed vertex than to a free one.
+    """All points that are closer to a fixed vertex than to a free one.
 
-    Centers go to the nearest free vertex, but stop a little before it on their way, so that two of them do not meet.
+    Centers move towards the nearest free vertex, but stop a little before it, so that two of them do not coincide.
     With a mirror a point is in the region if its image is.
     """
 
@@ -102,7 +102,7 @@ class VertexRegion:
         if mirror is not None and len(self._open):
             own = np.maximum(own, near.query(mirror.image(open_to_centers).numpy())[0])
         away = KDTree(held.numpy()).query(self._open)[0] if len(self._open) else np.empty(0)
-        self._room = 0.45 * (away - own)  # so far a free vertex stays the closest
+        self._room = 0.45 * (away - own)  # within this distance the free vertex is the closest
 
     def contains(self, points: Tensor) -> Tensor:
         """See `Region`."""
@@ -135,7 +135,7 @@ class VertexRegion:
 class Parameterization:
     """Centers [*pop, m, d] from points [*pop, m, d] anywhere in the box; without mirror and region the identity.
 
-    With a mirror, points of the other side are folded over, and if m is odd the last one is put on the plane. Points
+    With a mirror, points on the other side are mirrored, and if m is odd the last one is put on the plane. Points
     leave the region, the one on the plane along it.
     """
 

@@ -43,7 +43,7 @@ def drop_strays(vertices: Points, triangles: Triangles | None) -> tuple[Points, 
     """Drop stray vertices, with their triangles, and return how many there were.
 
     Strays are farther from the median point than 5 times the median such distance, and at most 1% of the vertices;
-    if more lie out there they belong to the scan. One flying pixel of a scanner must not set the scale.
+    if there are more, they belong to the scan. A single outlier of a scanner must not set the scale.
     """
     distance = _from_middle(vertices)
     stray = distance > _STRAY_DISTANCE * np.median(distance)
@@ -66,7 +66,9 @@ def turn(vertices: Points, up: str, front: str) -> Points:
     """
     y, z = _axis(up, "up"), _axis(front, "front")
     if y @ z != 0.0:
-        raise UserError(f"scan axes: up={up} and front={front} lie on one line; give both, two different axes")
+        raise UserError(
+            f"scenario.up={up}, scenario.front={front}: these are one axis; set both, to two different axes"
+        )
     return vertices @ np.stack([np.cross(y, z), y, z]).T
 
 
@@ -74,8 +76,8 @@ def fit_box(vertices: Points) -> tuple[Points, float]:
     """Move and uniformly scale vertices [n, 3] into [-1,1]^3; return them and the scale.
 
     The longest side of the scan's box becomes 2 long. The box is centred left to right (x) and bottom to top (y), and
-    its front touches the front of the box, z = 1. In depth it is not centred: from there, most closest points of the
-    sphere's front would fall on the tip of the nose, while so the front of the sphere lies close about the face.
+    its front touches the front of the box, z = 1. In depth it is not centred: then most closest points of the
+    sphere's front would be the tip of the nose, while this way the front of the sphere lies close to the face.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     scale = 2.0 / float((high - low).max())
@@ -96,7 +98,7 @@ def _used(points: Points, triangles: Triangles) -> tuple[Points, Triangles]:
 def _axis(name: str, key: str) -> Points:
     sign, letter = (name[0], name[1:]) if isinstance(name, str) and name[:1] in ("+", "-") else ("+", name)
     if not isinstance(letter, str) or letter.lower() not in ("x", "y", "z"):
-        raise UserError(f"scan axes: {key} must be x, y, z, -x, -y or -z, not {name!r}")
+        raise UserError(f"scenario.{key}={name}: choose x, y, z, -x, -y or -z")
     direction = np.zeros(3)
     direction["xyz".index(letter.lower())] = -1.0 if sign == "-" else 1.0
     return direction

@@ -1,4 +1,4 @@
-"""What a triangle mesh is like: its oddities, a consistent winding, normals and areas of its vertices."""
+"""Properties of a triangle mesh: oddities, a consistent winding, normals and areas of its vertices."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from rbfevo.arrays import Points, Triangles
 from rbfevo.geometry.crossings import piercing_edges
 from rbfevo.geometry.triangles import doubled_area_vectors, triangle_areas
 
-MOST_TRIANGLES = 200_000  # looked at for crossings
+MOST_TRIANGLES = 200_000  # up to which crossings are searched for
 _FLAT = 1e-3  # volume over area^1.5, below which a surface has no inside; a ball has 0.094
-_SHELLS = 100  # closed pieces, the largest, that others may lie within
+_SHELLS = 100  # of the largest closed pieces, in which others are searched for
 
 
-def words(vertices: Points, triangles: Triangles, edges: Edges | None = None) -> dict[str, str]:
-    """Return one line for each oddity of a mesh that does no harm but may be unintended; nothing if all is well.
+def oddities(vertices: Points, triangles: Triangles, edges: Edges | None = None) -> dict[str, str]:
+    """Return one line for each oddity of a mesh that is harmless but may be unintended.
 
     Keys: `open boundary`, `non-manifold edges`, `pieces` (by shared vertices), `winding`, `inside out`, `crossings`.
 
@@ -27,19 +27,19 @@ def words(vertices: Points, triangles: Triangles, edges: Edges | None = None) ->
         vertices: [n, 3]; triangles: [f, 3], none with a corner twice.
         edges: those of the mesh, where they are known already.
     """
-    edges, said = edges or edges_of(len(vertices), triangles), {}
+    edges, found = edges or edges_of(len(vertices), triangles), {}
     if border := int((edges.uses == 1).sum()):
-        said["open boundary"] = f"{border} of {len(edges.uses)} edges belong to one triangle only"
+        found["open boundary"] = f"{border} of {len(edges.uses)} edges belong to one triangle only"
     if crowded := int((edges.uses > 2).sum()):
-        said["non-manifold edges"] = f"{crowded} of {len(edges.uses)} edges belong to more than two triangles"
+        found["non-manifold edges"] = f"{crowded} of {len(edges.uses)} edges belong to more than two triangles"
 
     count, piece = _pieces(len(vertices), edges.ends)
     if count > 1:
         sizes = np.bincount(piece)
-        said["pieces"] = f"{count} pieces that share no vertex; the largest has {sizes.max()} vertices"
+        found["pieces"] = f"{count} pieces that share no vertex; the largest has {sizes.max()} vertices"
     clashing = (edges.uses == 2) & (edges.balance != 0)
     if clashing.any():
-        said["winding"] = f"at {int(clashing.sum())} edges the two triangles are wound against each other"
+        found["winding"] = f"at {int(clashing.sum())} edges the two triangles have opposite winding"
 
     closed = np.ones(count, bool)
     closed[piece[edges.ends[(edges.uses != 2) | clashing, 0]]] = False
@@ -47,19 +47,19 @@ def words(vertices: Points, triangles: Triangles, edges: Edges | None = None) ->
     inward = closed & (_volumes(vertices, triangles, of_triangle, count) < 0.0)
     inward &= ~_nested(vertices, triangles, of_triangle, closed)
     if inward.any():
-        said["inside out"] = f"{int(inward.sum())} of {int(closed.sum())} closed pieces have their normals inside"
+        found["inside out"] = (
+            f"{int(inward.sum())} of {int(closed.sum())} closed pieces have normals that point inwards"
+        )
 
     if len(triangles) > MOST_TRIANGLES:
-        said["crossings"] = (
-            f"whether it passes through itself was not looked for (more than {MOST_TRIANGLES:,} triangles)"
-        )
+        found["crossings"] = f"self-intersections were not searched for (more than {MOST_TRIANGLES:,} triangles)"
     elif pierced := len(piercing_edges(vertices, triangles, edges.ends)):
-        said["crossings"] = f"the surface passes through itself: {pierced} edges pierce a triangle"
-    return said
+        found["crossings"] = f"the surface intersects itself: {pierced} edges pierce a triangle"
+    return found
 
 
 def oriented(vertices: Points, triangles: Triangles, edges: Edges | None = None) -> tuple[Triangles, int]:
-    """Wind triangles [f, 3] as their neighbours are; return them and how many were turned.
+    """Wind triangles [f, 3] consistently with their neighbours; return them and how many were turned.
 
     Neighbours are the two triangles at an edge that has no third. Of a closed piece the normals point outward, of an
     open one, and of one within another, which may be the wall of a cavity, as those of most of its triangles do. A
@@ -99,7 +99,7 @@ def oriented(vertices: Points, triangles: Triangles, edges: Edges | None = None)
 
 
 def flat(vertices: Points) -> bool:
-    """Tell whether all vertices [n, 3] lie in one plane, but for the rounding of single precision."""
+    """Tell whether all vertices [n, 3] lie in one plane, up to the rounding of single precision."""
     spans = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False) if len(vertices) > 2 else np.zeros(3)
     return bool(spans[-1] <= 1e-6 * spans[0])
 
@@ -107,7 +107,7 @@ def flat(vertices: Points) -> bool:
 def inward(vertices: Points, triangles: Triangles) -> bool:
     """Tell whether an open surface is wound with its normals inwards, once its holes are closed towards their middle.
 
-    False for closed surfaces, and where that leaves no volume to speak of, as with a flat sheet.
+    False for closed surfaces, and where the enclosed volume is negligible, as for a flat sheet.
     """
     border = rim(vertices, triangles)
     if not border.size:

@@ -1,1 +1,1 @@
-"""What run directories hold, read without torch: setups, picks, sweeps."""
+"""Run directories read back without torch: setups, picks, sweeps."""

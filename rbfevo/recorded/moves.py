@@ -1,4 +1,4 @@
-"""What a setup makes of the displacement that its run wants."""
+"""The best approximation of a run's wanted displacement by one setup."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rbfevo.recorded.setup import Setup
 
 
 class Move(NamedTuple):
-    """What the setup makes of the wanted displacement, k components.
+    """The wanted displacement and its best approximation by a setup, k components.
 
     Attributes:
         wanted, reached: [n, k] at the vertices; weights: [m, k]; centers: [m, k] displacements of the centers.
@@ -43,7 +43,7 @@ def wanted_move(record: Record, chosen: Setup, step: float) -> Move:
         wanted, reached, weights = factor * wanted, factor * reached, factor * weights
     centers = np.zeros_like(weights) if chosen.kernel is None else chosen.displacement(chosen.centers, weights)
     if chosen.mirror is not None and chosen.crosses(centers.shape[1]):
-        centers[chosen.on_plane, chosen.mirror.axis] = 0.0  # rounding apart it is
+        centers[chosen.on_plane, chosen.mirror.axis] = 0.0  # exactly, without rounding errors
     return Move(wanted, reached, weights, centers, direction)
 
 

@@ -12,19 +12,19 @@ from rbfevo.scoring.fronts import preferred
 PICKS = ("knee", "best-regularity", "best-improvement-potential", "index:ROW", "preference:LAMBDA")
 
 
-def pick(record: Record, words: str) -> int:
-    """The row of `setups.npz` that `words` ask for, among the rows with finite scores and centers.
+def pick(record: Record, choice: str) -> int:
+    """The row of `setups.npz` that `choice` names, among the rows with finite scores and centers.
 
     Args:
         record: the run.
-        words: `knee`; `best-regularity` or `best-improvement-potential`, ties broken by the other score;
+        choice: `knee`; `best-regularity` or `best-improvement-potential`, ties broken by the other score;
             `index:12`, that row; `preference:0.3`, the row maximizing 0.3 R + 0.7 P (paper, eq. 9), the lowest of
             equals.
 
     Raises:
-        UserError: if there is no such pick or no such row, with what there is.
+        UserError: if there is no such pick or no such row, naming the valid ones.
     """
-    kind, colon, value = words.strip().partition(":")
+    kind, colon, value = choice.strip().partition(":")
     usable = record.usable
     R, P = record.regularity, record.improvement_potential
     if usable.size == 0:
@@ -41,9 +41,9 @@ def pick(record: Record, words: str) -> int:
     if not colon and kind == "knee":
         found = knee(record)
         if found is None or found not in usable:
-            raise UserError("pick=knee: no usable setup of this run is marked as nondominated; choose another pick")
+            raise UserError("pick=knee: this run has no front (no usable setup is nondominated); choose another pick")
         return found
-    raise UserError(f"pick={words}: there is no such pick; choose one of {', '.join(PICKS)}")
+    raise UserError(f"pick={choice}: there is no such pick; choose one of {', '.join(PICKS)}")
 
 
 def best(rows: Array, first: Array, second: Array) -> int:
@@ -54,9 +54,9 @@ def best(rows: Array, first: Array, second: Array) -> int:
 def _row(record: Record, value: str) -> int:
     count = len(record.regularity)
     if not value.isdecimal() or int(value) >= count:
-        raise UserError(f"pick=index:{value}: there is no such row; there are rows 0 to {count - 1}")
+        raise UserError(f"pick=index:{value}: there is no such row; choose one from 0 to {count - 1}")
     if int(value) not in record.usable:
-        raise UserError(f"pick=index:{value}: this row has no finite centers and scores; choose another one")
+        raise UserError(f"pick=index:{value}: this row has no finite centers and scores; choose another row")
     return int(value)
 
 
@@ -66,7 +66,5 @@ def _preference(value: str) -> float:
     except ValueError:
         preference = -1.0
     if not 0.0 <= preference <= 1.0:
-        raise UserError(
-            f"pick=preference:{value}: a number from 0 (improvement potential) to 1 (regularity) is expected"
-        )
+        raise UserError(f"pick=preference:{value}: give a number from 0 (improvement potential) to 1 (regularity)")
     return preference

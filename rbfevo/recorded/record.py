@@ -1,6 +1,6 @@
-"""What a run's files hold, read without torch: the arrays and the summary in its directory, checked.
+"""The arrays and the summary of a run directory, read without torch and checked.
 
-Figures, picks and fits read a run through this and nothing else of it, so that they work on any run at any time.
+Figures, picks and fits read a run through this module alone, so that they work on any run at any time.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Record:
         vertices, faces, gradient, weights: [n, d], [f, 3], [n, k] of unit (weighted) norm, [n].
         lower, upper: [d] corners of the box.
         summary: summary.json.
-        stays: [n] bool, vertices that are to stay where they are; None if the run did not save it.
+        stays: [n] bool, vertices that should not move; None if the run did not save it.
         variability: [p] rank(U)/n; None if the run did not save it.
         genotype: [p, D] setups of another representation than RBFs, whose `centers` are where control points sit.
     """
@@ -77,7 +77,7 @@ class Record:
     def gradient_norm(self) -> float | None:
         """The norm that the gradient had before it was scaled to 1, in model units.
 
-        None if the run did not save it, or knows no more than a direction (a sensitivity).
+        None if the run did not save it, or has a sensitivity, which gives a direction only.
         """
         norm = None if self.summary.get("gradient_is") == "direction" else self.summary.get("gradient_norm")
         return float(norm) if isinstance(norm, int | float) and np.isfinite(norm) and norm > 0 else None
@@ -85,15 +85,15 @@ class Record:
     @property
     def title(self) -> str:
         """Scenario, kernel, support radius and manipulation in one line."""
-        say = self.summary.get
-        name = str(say("kernel", "unknown"))
+        entry = self.summary.get
+        name = str(entry("kernel", "unknown"))
         kernel = f"{'Wendland' if name == 'wendland' else name} kernel"
-        if say("support") is not None:
-            kernel += f", support radius {say('support'):.4g}"
-        spec = say("representation")
+        if entry("support") is not None:
+            kernel += f", support radius {entry('support'):.4g}"
+        spec = entry("representation")
         if isinstance(spec, dict) and spec.get("name", "rbf") != "rbf":
             kernel = f"representation {spec['name']}"
-        return f"{say('scenario', 'unknown')} · {kernel} · {say('manipulation', 'unknown')} manipulation"
+        return f"{entry('scenario', 'unknown')} · {kernel} · {entry('manipulation', 'unknown')} manipulation"
 
 
 def read(run: Path) -> Record:
@@ -119,7 +119,7 @@ def read(run: Path) -> Record:
         and isinstance(summary, dict)
     )
     if not fitting:
-        raise UserError(f"{run}: setups.npz, scenario.npz and summary.json do not fit together")
+        raise UserError(f"{run}: setups.npz, scenario.npz and summary.json do not match; restore the files of one run")
     setups["method"], setups["nondominated"] = setups["method"].astype(str), setups["nondominated"].astype(bool)
     return Record(**setups, **scenario, summary=summary, stays=None if stays is None else stays.astype(bool))
 
@@ -133,7 +133,7 @@ class FitRecord:
 
     Attributes:
         deformed: [n, 3] vertices of the deformed design; on a plane the height is the third coordinate.
-        local_error: [n] what is left at each vertex, model units; moved_centers: [m, 3].
+        local_error: [n] the length of the residual at each vertex, model units; moved_centers: [m, 3].
         errors: [generations + 1] errors of the mean, the start first; centers, parameters: [m, d], [m, k].
         summary: fit.json.
     """
@@ -158,12 +158,14 @@ def read_fit(directory: Path) -> FitRecord:
     arrays = _arrays(directory / "parameters.npz", FIT)
     lines = _load(directory / "history.csv", lambda path: np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2))
     if not isinstance(summary, dict) or not isinstance(summary.get("run"), str) or lines.shape[1] != 3:
-        raise UserError(f"{directory}: fit.json and history.csv are not those of a fit")
+        raise UserError(f"{directory}: fit.json and history.csv are not the files of a fit")
     run = read((directory / summary["run"]).resolve())
     n, m = len(run.vertices), len(arrays["centers"])
     fitting = arrays["deformed"].shape == (n, 3) and len(arrays["local_error"]) == n
     if not fitting or arrays["moved_centers"].shape != (m, 3):
-        raise UserError(f"{directory} does not fit the run {summary['run']} that it was made from")
+        raise UserError(
+            f"{directory}: the arrays of this fit do not match those of its run {summary['run']}; repeat the fit"
+        )
     return FitRecord(run=run, **arrays, errors=lines[:, 1], summary=summary)
 
 
@@ -176,10 +178,10 @@ def knee(record: Record) -> int | None:
     return int(rows[knee_of(scores)])
 
 
-def _arrays(path: Path, names: tuple[str, ...], if_there: tuple[str, ...] = ()) -> dict[str, Array]:
+def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
     def load(path: Path) -> dict[str, Array]:
         with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in (*names, *(name for name in if_there if name in archive))}
+            return {name: archive[name] for name in (*names, *(name for name in optional if name in archive))}
 
     return _load(path, load)
 

@@ -1,4 +1,4 @@
-"""One recorded setup as columns of U, in NumPy: what its centers do to any point of the same space.
+"""One recorded setup as columns of U, in NumPy: how its centers displace any point of the same space.
 
 In a run with a symmetry plane every center c has a mirror image c', and the displacement of c' is the mirror image of
 that of c: a column is phi(|c - x|) + phi(|c' - x|) for the components of a displacement along the plane and
@@ -21,7 +21,7 @@ from rbfevo.scoring.kernels import Kernel, Wendland, triharmonic
 from rbfevo.scoring.representations import RBF, Representation, representation_of
 
 BLOCK = 65_536  # rows at a time, or fewer where there are many centers
-CELLS = 2**22  # of a block of columns: 32 MB
+CELLS = 2**22  # numbers in a block of columns: 32 MB
 EPS = float(np.finfo(float).eps)
 
 
@@ -102,9 +102,9 @@ class Setup:
     def immovable(self, k: int) -> str:
         """Why the control points cannot be moved one by one by displacements with k components; empty if they can."""
         if self.kernel is None:
-            return f"the control points of representation={self.representation.name} are not moved one by one"
+            return f"the control points of representation={self.representation.name} cannot be moved one by one"
         if self.singular() or (self.crosses(k) and self.singular(across=True)):
-            return "Psi is numerically singular: these centers cannot be moved one by one"
+            return "these centers cannot be moved one by one: their kernel matrix Psi is numerically singular"
         return ""
 
     def singular(self, across: bool = False) -> bool:
@@ -131,7 +131,7 @@ class Setup:
             yield np.array([axis]), True, self.off_plane
 
     def refuse_across(self, rows: Array, what: str) -> None:
-        """Raise UserError where a center on the symmetry plane is asked to leave it; rows [m, k]."""
+        """Raise UserError where rows [m, k] would move a center off the symmetry plane that it lies on."""
         if self.mirror is None or not self.crosses(rows.shape[1]):
             return
         wrong = np.flatnonzero(self.on_plane & (rows[:, self.mirror.axis] != 0))
@@ -149,14 +149,14 @@ class Setup:
             UserError: if Psi is numerically singular, or a center is to leave the symmetry plane that it lies on.
         """
         if self.kernel is None:
-            raise UserError(f"{self.immovable(displacements.shape[1])}: give weights (--weights)")
+            raise UserError(f"{self.immovable(displacements.shape[1])}; give weights instead (--weights)")
         self.refuse_across(displacements, "displacement")
         weights = np.zeros(displacements.shape)
         for components, across, columns in self.parities(displacements.shape[1]):
             if self.singular(across):
                 raise UserError(
-                    "these centers cannot be moved one by one, since Psi is numerically singular (do two of them "
-                    "coincide?): choose another pick, or give RBF weights (--weights)"
+                    "these centers cannot be moved one by one: their kernel matrix Psi is numerically singular (do two "
+                    "of them coincide?); choose another pick, or give RBF weights (--weights)"
                 )
             if columns.size:
                 cells = np.ix_(columns, components)
@@ -257,7 +257,7 @@ def _representation(record: Record) -> Representation:
         return RBF(Wendland(support))
     if name == "triharmonic":
         return RBF(triharmonic(record.vertices.shape[1]))
-    raise UserError(f"summary.json: what a setup does is not known for kernel={name} with support radius {support}")
+    raise UserError(f"summary.json: kernel={name} with support radius {support} is not known here")
 
 
 def _mirror(record: Record) -> Mirror | None:
@@ -267,5 +267,7 @@ def _mirror(record: Record) -> Mirror | None:
     axis, at = (plane.get("axis"), plane.get("at")) if isinstance(plane, dict) else (None, None)
     axes = ["x", "y", "z"][: record.vertices.shape[1]]
     if axis not in axes or not isinstance(at, int | float) or not np.isfinite(at):
-        raise UserError(f"summary.json: symmetry={plane} is not an axis ({', '.join(axes)}) and a number, at")
+        raise UserError(
+            f"summary.json: symmetry={plane} must have an axis ({', '.join(axes)}) and a number as its entry `at`"
+        )
     return Mirror.of_box(axes.index(axis), float(at), record.lower, record.upper)

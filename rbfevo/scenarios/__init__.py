@@ -1,4 +1,4 @@
-"""What is to be designed: every function here builds one Scenario."""
+"""Design tasks: every function here builds one Scenario."""
 
 from rbfevo.scenarios.face import face
 from rbfevo.scenarios.mesh import mesh

@@ -1,4 +1,4 @@
-"""A design by fewer, weighted vertices that stand for all of them: what a search may look at before the end."""
+"""A coarse design: fewer, weighted vertices that represent all of them in a search."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from rbfevo.scenarios.scenario import Scenario
 
 
 def coarsened(scenario: Scenario, count: int) -> Scenario:
-    """The scenario on at most `count` cells of vertices, or the scenario itself where it has no more than those.
+    """The scenario on at most `count` cells of vertices, or the scenario itself if it has no more vertices than that.
 
     Each compact cell becomes one vertex: the weighted mean of its vertices and of their g, with the sum of their
-    weights. Sums over the vertices then keep their value but for the square of the cells' size. The means lose what g
-    does within a cell: its norm falls below 1, and P with it (see `matched`). It has no faces, and its target
-    is fixed.
+    weights. Sums over the vertices then keep their value up to the square of the cells' size. The means lose the
+    variation of g within a cell: its norm falls below 1, and P with it (see `matched`). It has no faces, and its
+    target is fixed.
     """
     n = len(scenario.vertices)
     if n <= count:

@@ -12,8 +12,8 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.geometry import placement
 from rbfevo.geometry.pairing import REJECTIONS, pair
+from rbfevo.scenarios.reading import read_surface
 from rbfevo.scenarios.scenario import Scenario, unit_gradient
-from rbfevo.scenarios.surfaces import read_surface
 
 
 def face(
@@ -42,9 +42,9 @@ def face(
         UserError: on a setting out of range, an unusable scan, or if every pair is rejected.
     """
     if isinstance(subdivisions, bool) or not isinstance(subdivisions, int) or not 1 <= subdivisions <= 8:
-        raise UserError(f"subdivisions must be a whole number from 1 to 8, not {subdivisions}")
+        raise UserError(f"scenario.subdivisions={subdivisions}: give a whole number from 1 to 8")
     if reject not in REJECTIONS:  # before anything is read
-        raise UserError(f"reject must be one of {', '.join(REJECTIONS)}, not {reject!r}")
+        raise UserError(f"scenario.reject={reject}: choose one of {', '.join(REJECTIONS)}")
 
     if scan is None:
         vertices, triangles = average_face()
@@ -57,18 +57,21 @@ def face(
     vertices, triangles = placement.merge_coincident(placement.turn(vertices, up, front), triangles)
     vertices, triangles, strays = placement.drop_strays(vertices, triangles)
     if triangles is not None and len(triangles) == 0:
-        raise UserError(f"{notes['scan']}: no triangle is left once coincident vertices are merged")
+        raise UserError(f"{notes['scan']}: merging coincident vertices leaves no triangle; check the file")
     vertices, scale = placement.fit_box(vertices)
     kind = "a cloud" if triangles is None else f"{len(triangles)} triangles"
-    notes["scan size"] = f"{len(vertices)} distinct vertices, {kind}; {strays} stray vertices dropped"
-    notes["scan frame"] = f"up {up} -> +y, front {front} -> +z, times {scale:.6g}, front at z = 1"
+    notes["scan size"] = f"scan: {len(vertices)} distinct vertices, {kind}; {strays} stray vertices dropped"
+    notes["scan frame"] = (
+        f"scan turned (up {up} to +y, front {front} to +z), scaled by {scale:.6g}, its front put at z = 1"
+    )
 
     sphere, faces = _icosphere(subdivisions)
     displacement, rejected, facts, query = pair(sphere, sphere, vertices, triangles, reject)
     notes |= facts
     if rejected.all():
         raise UserError(
-            f"{notes['scan']}: every pair of sphere and scan is rejected; check up and front, or reject=none"
+            f"{notes['scan']}: all pairs of sphere and scan are rejected; check scenario.up and scenario.front, or set "
+            "scenario.reject=none"
         )
 
     weights = torch.ones(len(sphere), dtype=torch.float64)

@@ -16,19 +16,19 @@ from rbfevo.geometry.parameterization import BoxRegion, Region, VertexRegion
 from rbfevo.scenarios.templates import Template
 from rbfevo.scenarios.vertex_arrays import vertex_array
 
-SHAPE = "a box is six numbers, [xmin,ymin,zmin,xmax,ymax,zmax], with null for an open side"
+SHAPE = "a box is six numbers, [xmin,ymin,zmin,xmax,ymax,zmax], where null leaves a side open"
 
 
 class Fixing(NamedTuple):
-    """Which vertices [n] are fixed, the region that this makes, and a note on how many there are."""
+    """Which vertices [n] are fixed, the region that they define, and a note on how many there are."""
 
     fixed: Mask
     region: Region
-    words: str
+    note: str
 
 
 def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor, mirror: Mirror | None = None) -> Fixing:
-    """What `scenario.fixed` means for a template.
+    """The vertices of a template that `scenario.fixed` fixes.
 
     Args:
         value: six numbers of a box (null: open), or the name of a point array or a file of one, where any value but 0
@@ -48,9 +48,9 @@ def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor, mirror:
         fixed = np.asarray(((template.vertices >= low) & (template.vertices <= high)).all(axis=1), bool)
     if not fixed.any():
         spans = ", ".join(f"{a:g} to {b:g}" for a, b in zip(*_extent(template.vertices), strict=True))
-        raise UserError(f"scenario.fixed={value}: it marks no vertex (the template spans {spans})")
+        raise UserError(f"scenario.fixed={value}: this fixes no vertex (the template spans {spans})")
     if fixed.all():
-        raise UserError(f"scenario.fixed={value}: it marks every vertex, so that nothing may move")
+        raise UserError(f"scenario.fixed={value}: this fixes every vertex, so nothing can move")
     if low is None or high is None:
         region: Region = VertexRegion(torch.from_numpy(template.vertices), torch.from_numpy(fixed), mirror)
     else:
@@ -64,11 +64,11 @@ def _box(value: Any) -> tuple[Points, Points]:
         sides = [*sides[0], *sides[1]]
     numbers = all(side is None or (isinstance(side, int | float) and not isinstance(side, bool)) for side in sides)
     if len(sides) != 6 or not numbers:
-        raise UserError(f"scenario.fixed={value}: {SHAPE}; else the name of a point array or a file is expected")
+        raise UserError(f"scenario.fixed={value}: {SHAPE}; or give the name of a point array or a file")
     low = np.array([-np.inf if side is None else float(side) for side in sides[:3]])
     high = np.array([np.inf if side is None else float(side) for side in sides[3:]])
     if np.isnan(low).any() or np.isnan(high).any() or (low > high).any():
-        raise UserError(f"scenario.fixed={value}: a lower side lies above its upper one; {SHAPE}")
+        raise UserError(f"scenario.fixed={value}: a lower side lies above its upper side; {SHAPE}")
     return low, high
 
 

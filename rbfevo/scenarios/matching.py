@@ -1,4 +1,4 @@
-"""Which row of a table belongs to which vertex: by coordinates, by ids, or by the order of the rows."""
+"""Which row of a table belongs to which vertex: by coordinates, ids or order."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from rbfevo.scenarios.units import nearest_unit
 
 MATCHES = ("exact", "nearest", "interpolate")
 AGREE = 1e-4  # of the template's longest side: spreadsheets often hold six digits
-FAR = 0.2  # of the same: rows of another mesh that lie farther are not of the same surface
+FAR = 0.2  # of the same: rows that lie farther away do not belong to the same surface
 _NEIGHBOURS = 8
 
 
 class Match(NamedTuple):
-    """The row [n] of each vertex; `places` [r, 3] where values are to be interpolated instead; one line on how."""
+    """The row [n] of each vertex; `places` [r, 3] if values are interpolated instead; a note on how rows were found."""
 
     rows: Ints
     places: Array | None
@@ -43,8 +43,8 @@ def by_order(count: int, template: Template) -> Match:
     wanted = f"{template.count} points" + (f" ({n} of them in triangles)" if n != template.count else "")
     cells = f" and {len(np.unique(template.cell))} cells" if len(template.cell) else ""
     raise UserError(
-        f"it has {count} rows, but the mesh has {wanted}{cells}; give one row for each point, or columns x, y, z, by "
-        "which rows are matched"
+        f"it has {count} rows, but the mesh has {wanted}{cells}; give one row for each point, or add columns x, y, z "
+        "to match rows by coordinates"
     )
 
 
@@ -55,10 +55,10 @@ def by_ids(ids: Array, name: str, template: Template) -> Match:
         UserError: if a number is there twice, or the numbers are not the mesh's.
     """
     if (ids != np.round(ids)).any():
-        raise UserError(f"its column '{name}' holds numbers that are not whole; ids of points are expected")
+        raise UserError(f"its column '{name}' must hold ids of points, but not all of its numbers are whole")
     twice = len(ids) - len(np.unique(ids))
     if twice:
-        raise UserError(f"its column '{name}' holds {twice} ids twice")
+        raise UserError(f"its column '{name}' holds {twice} ids more than once")
     if template.numbers is not None:
         own = {"the file's numbers of its points": template.numbers[template.rows]}
     else:
@@ -71,8 +71,8 @@ def by_ids(ids: Array, name: str, template: Template) -> Match:
     if found:
         if len(found) > 1 and len(ids) != template.count:
             raise UserError(
-                f"its column '{name}' may count the mesh's {template.count} points from 0 or from 1; add "
-                "columns x, y, z, or leave out the rows of other points"
+                f"its column '{name}' may number the mesh's {template.count} points from 0 or from 1; add columns "
+                "x, y, z, or give exactly one row for each point"
             )
         title, rows = next(iter(found.items()))
         return Match(rows, None, f"rows by '{name}', {title}")
@@ -81,19 +81,19 @@ def by_ids(ids: Array, name: str, template: Template) -> Match:
         f"its column '{name}' ({ids.min():.0f} to {ids.max():.0f}, {len(ids)} rows) does not hold the numbers of the "
         f"mesh's points ({known.min()} to {known.max()}"
         + ("" if template.numbers is not None else f", or 1 to {template.count}")
-        + "); leave it out if the rows have the order of the points, or add columns x, y, z"
+        + "); remove the column if the rows are in the order of the points, or add columns x, y, z"
     )
 
 
 def by_coordinates(places: Array, axes: tuple[int, ...], unit: str, template: Template, match: str) -> Match:
-    """Rows by where they are: exactly (in any order, with rows to spare), or by the nearest of another mesh's.
+    """Rows by coordinates: exactly (in any order, with extra rows), or the nearest ones of another mesh.
 
     Args:
         places: [r, k] coordinates; axes: which they are, of 0, 1, 2; unit: theirs, as the header names it.
         match: `exact`, `nearest` or `interpolate`.
 
     Raises:
-        UserError: if vertices have no row of their own, naming how far the nearest is.
+        UserError: if a vertex has no row of its own, with the distance of the nearest.
     """
     from scipy.spatial import KDTree
 
@@ -122,28 +122,28 @@ def by_coordinates(places: Array, axes: tuple[int, ...], unit: str, template: Te
                 nearest, None, f"rows by coordinates, the farthest {distance.max():.2g} away (tolerance {allowed:.2g})"
             )
         raise UserError(
-            f"its coordinates are too coarse: {int((shared & apart).sum())} vertices share the nearest row with another"
+            f"its coordinates have too few digits: {int((shared & apart).sum())} vertices share their nearest row"
         )
     _ask_about_units(places, vertices, unit)
     if len(axes) == 3 and match != "exact":
         if distance.max() > FAR * extent:
             raise UserError(
-                f"the nearest row of a vertex is {distance.max():.3g} away, of a longest side of {extent:.3g}: "
-                "its rows are not of the same surface, or of a part of it"
+                f"a vertex is {distance.max():.3g} away from the nearest row (the template's longest side is "
+                f"{extent:.3g}): the rows are not of the same surface, or of a part of it only"
             )
-        note = f"largest distance {distance.max():.3g}, mean {distance.mean():.3g}, of a longest side of {extent:.3g}"
+        note = f"largest distance {distance.max():.3g}, mean {distance.mean():.3g} (longest side {extent:.3g})"
         if match == "nearest":
             return Match(nearest, None, f"nearest rows: {note}")
         return Match(nearest, places, f"interpolated between {min(_NEIGHBOURS, len(places))} nearest rows: {note}")
     off = distance > allowed
     if len(axes) < 3:
         raise UserError(
-            f"it has {len(axes)} of three coordinates, and its rows are not in the order of the mesh: add the third one"
+            f"it has {len(axes)} of three coordinates, and its rows are not in the order of the mesh; add the others"
         )
     raise UserError(
         f"its coordinates differ from the mesh's: {int(off.sum())} of {len(off)} vertices have no row within "
-        f"{allowed:.2g}, the nearest row of one is {distance.max():.3g} away; scenario.sensitivity_match=nearest or "
-        "interpolate takes the values of another mesh of the same surface"
+        f"{allowed:.2g} (the largest distance is {distance.max():.3g}); for values of another mesh of the same "
+        "surface, set scenario.sensitivity_match=nearest or interpolate"
     )
 
 
@@ -156,8 +156,8 @@ def _ask_about_units(places: Array, vertices: Array, unit: str) -> None:
     if abs(math.log(factor * mine / its)) < 0.02:
         named = f" (its header says {unit})" if unit else ""
         raise UserError(
-            f"its coordinates are {factor:.6g} times the mesh's{named}: another unit? Give both in one unit: "
-            f"multiply its columns x, y, z by {1.0 / factor:.6g}; and mind the unit of the values"
+            f"its coordinates are {factor:.6g} times the mesh's{named}: another unit? Multiply its columns x, y, z by "
+            f"{1.0 / factor:.6g}, and check the unit of its values"
         )
 
 
@@ -200,7 +200,7 @@ def from_cells(values: Array, template: Template, kind: str) -> Array:
 
 
 def looks_like_coordinates(columns: Array, template: Template) -> NDArray[np.int64]:
-    """Which of a nameless table's columns [r, k] are, row by row, the mesh's x, y or z."""
+    """Which columns of a table [r, k] without a header are, row by row, the mesh's x, y or z."""
     found = []
     for rows, count in ((template.rows, template.count), (np.arange(len(template.vertices)), len(template.vertices))):
         if len(columns) != count:

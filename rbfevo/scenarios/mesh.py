@@ -1,4 +1,4 @@
-"""The engineer's own mesh, and where it should move: a target shape, or an adjoint solver's sensitivities."""
+"""A user's mesh that should become a target shape, or follow an adjoint solver's sensitivities."""
 
 from __future__ import annotations
 
@@ -20,14 +20,15 @@ from rbfevo.geometry.parameterization import Region
 from rbfevo.scenarios import fixing, sensitivities
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.matching import MATCHES
-from rbfevo.scenarios.scenario import Sampler, Scenario, near_one, times_power_of_two, unit_gradient
-from rbfevo.scenarios.surfaces import checked_extent, read_surface
+from rbfevo.scenarios.reading import checked_extent, read_surface
+from rbfevo.scenarios.sampling import open_faces, surface_sampler
+from rbfevo.scenarios.scenario import Scenario, near_one, times_power_of_two, unit_gradient
 from rbfevo.scenarios.templates import Template, read_template
 from rbfevo.scenarios.units import nearest_unit
 from rbfevo.scenarios.vertex_arrays import vertex_array
 
 WEIGHTS = ("uniform", "area")
-MIXED_UNITS = 20.0  # times as large: metres and millimetres, or inches and millimetres
+MIXED_UNITS = 20.0  # ratio of sizes: metres and millimetres, or inches and millimetres
 
 
 def mesh(
@@ -55,16 +56,16 @@ def mesh(
     Args:
         template: a surface mesh as `read_template` takes it.
         patches: names of the template's patches (markers, physical groups, element sets) to take; None for all.
-        target: a mesh or cloud as `read_surface` takes it: vertices want to go to their closest points on it.
+        target: a mesh or cloud as `read_surface` takes it: vertices should move to their closest points on it.
         sensitivity: the name of a point or cell array of the template, or a CSV, NPY or NPZ file: one value a vertex,
             taken along its normal, or three.
         sensitivity_kind: `nodal` (integrated over a vertex's share of the surface) or `density` (per area).
         sensitivity_match: `exact`: a table's rows are those of the template's points, in any order; `nearest` or
             `interpolate`: of another mesh of the same surface, values per area then.
         objective: `minimize`: the design wants to move against the sensitivity; `maximize`: along it.
-        target_scale: what the target is multiplied by; None is 1, but mixed units are asked about.
+        target_scale: factor by which the target is multiplied; None is 1, but mixed units are refused.
         reject: as for `face`.
-        margin: of the template's bounding box, by which the box is larger on each side, as a fraction of its diagonal.
+        margin: by which the box is larger than the template's on each side, as a fraction of the diagonal.
         fixed: vertices that should not move, as `fixing.fixing` takes it: their rows of g are 0.
         keep_out: whether centers may not sit among the fixed vertices.
         weights: `uniform`, each vertex counts the same (the paper), or `area`.
@@ -75,7 +76,7 @@ def mesh(
         up: the axis that is up in pictures, x, y or z.
 
     Raises:
-        UserError: on a setting out of range, an unusable file, or where nothing is left to be moved.
+        UserError: on a setting out of range, an unusable file, or if no vertex is left that should move.
     """
     _check(template, reject, margin, weights, search_vertices, up)
     sensitivities.check(sensitivity_kind, objective)
@@ -85,19 +86,21 @@ def mesh(
     notes = {"template": f"{template}: {len(read.vertices)} vertices, {len(read.triangles)} triangles"} | read.notes
     if (target is None) == (sensitivity is None):
         raise UserError(_which(read, target is not None))
-    design, words = _Design.of(read, weights)
-    notes |= words
+    design, oddities = _Design.of(read, weights)
+    notes |= oddities
     if topology.flat(read.vertices):
         notes["flat"] = (
-            "all vertices lie in one plane: a sensitivity with one value a vertex, and a target beside the plane, move "
-            "them out of it; vectors within the plane keep it flat"
+            "all vertices lie in one plane: sensitivities along the normal and targets outside the plane move them out "
+            "of it; vectors within the plane keep it flat"
         )
     lower, upper = _box(read.vertices, margin)
     mirror = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, design.triangles, lower, upper)
     if target is not None:
         if objective != "minimize" or sensitivity_kind != "nodal":
-            raise UserError("scenario.objective and scenario.sensitivity_kind belong to a sensitivity, not to a target")
-        pairing, words, warnings = _paired(design, target, target_scale, reject)
+            raise UserError(
+                "scenario.objective and scenario.sensitivity_kind belong to a sensitivity, not a target; remove them"
+            )
+        pairing, more, warnings = _paired(design, target, target_scale, reject)
         exponent = 0
         wanted, stays = pairing.displacement, pairing.rejected
     else:
@@ -106,35 +109,36 @@ def mesh(
         values = given.values
         if given.other_mesh and sensitivity_kind == "nodal":
             raise UserError(
-                f"scenario.sensitivity_match={sensitivity_match}: integrated values of another mesh depend on its "
-                "cells; give values per area, with scenario.sensitivity_kind=density"
+                f"scenario.sensitivity_match={sensitivity_match}: integrated values depend on the cells of their own "
+                "mesh; give values per area, and set scenario.sensitivity_kind=density"
             )
         if not np.any(values):
-            raise UserError(f"scenario.sensitivity={sensitivity}: it is zero at every vertex: nothing wants to move")
-        values, exponent = near_one(values)  # adjoint solvers have units of their own: they may be huge, or tiny
+            raise UserError(f"scenario.sensitivity={sensitivity}: it is zero at every vertex, so nothing should move")
+        values, exponent = near_one(values)  # in the units of an adjoint solver values may be huge or tiny
         wanted = sensitivities.wanted(values, design.normals, design.areas, design.mass, sensitivity_kind, objective)
         stays = np.zeros(len(wanted), bool)
-        warnings = _doubts(design, str(template), str(sensitivity), read, values)
-        words = {"sensitivity": _convention(str(sensitivity), values, sensitivity_kind, objective)}
-        words["sensitivity rows"] = given.note
-    notes |= words
+        warnings = _sensitivity_warnings(design, str(template), str(sensitivity), read, values)
+        more = {"sensitivity": _convention(str(sensitivity), values, sensitivity_kind, objective)}
+        more["sensitivity rows"] = given.note
+    notes |= more
     region: Region | None = None
     if fixed is not None:
         held = fixing.fixing(fixed, read, lower, upper, mirror)
         stays, wanted = stays | held.fixed, np.where(held.fixed[:, None], 0.0, wanted)
         region = held.region if keep_out else None
-        notes["fixed"] = held.words + (", and centers are kept out of them" if keep_out else "")
+        notes["fixed"] = held.note + (", and centers are kept out of their region" if keep_out else "")
     elif keep_out:
-        raise UserError("scenario.keep_out=true needs scenario.fixed: there is nothing to keep centers out of")
+        raise UserError("scenario.keep_out=true needs scenario.fixed, the vertices that centers are kept away from")
     if not wanted.any():
-        raise UserError(f"{target or sensitivity}: no vertex is left that wants to move; check fixed and reject")
+        raise UserError(f"{target or sensitivity}: no vertex is left that should move; check scenario.fixed and reject")
 
     vertices, faces, mass = (torch.from_numpy(part) for part in (read.vertices, design.triangles, design.mass))
     gradient, norm = unit_gradient(torch.from_numpy(wanted), mass)
     norm = times_power_of_two(norm, exponent)
     if mirror is not None:
-        words, more = symmetry_plane.words(mirror, read.vertices, design.triangles, gradient.numpy(), design.mass)
-        notes, warnings = notes | words, warnings + more
+        of_symmetry = mirror, read.vertices, design.triangles, gradient.numpy(), design.mass
+        more, doubts = symmetry_plane.notes_and_warnings(*of_symmetry)
+        notes, warnings = notes | more, warnings + doubts
     return Scenario(
         name="mesh",
         vertices=vertices,
@@ -144,7 +148,7 @@ def mesh(
         lower=lower,
         upper=upper,
         support=length("scenario.support", support, float((upper - lower).norm())),
-        sample=_sampler(vertices, _open_faces(vertices, faces, region)),
+        sample=surface_sampler(vertices, open_faces(vertices, faces, region)),
         gradient_norm=norm,
         notes=notes,
         warnings=warnings,
@@ -161,7 +165,7 @@ def mesh(
 
 @dataclasses.dataclass(frozen=True)
 class _Design:
-    """A template's triangles with their normals on one side, and what follows: [n, 3] normals, [n] areas and mass."""
+    """A template's consistently wound triangles, and the normals [n, 3], areas and mass [n] of its vertices."""
 
     vertices: Points
     triangles: Triangles
@@ -171,12 +175,12 @@ class _Design:
 
     @staticmethod
     def of(template: Template, weights: str) -> tuple[_Design, dict[str, str]]:
-        """The design of a template, and what is odd about its surface in words."""
+        """The design of a template, and notes on the oddities of its surface."""
         vertices, edges = template.vertices, topology.edges_of(len(template.vertices), template.triangles)
-        notes = topology.words(vertices, template.triangles, edges)
+        notes = topology.oddities(vertices, template.triangles, edges)
         triangles, turned = topology.oriented(vertices, template.triangles, edges)
         if turned:
-            notes["winding"] = f"{turned} triangles are turned, so that all normals point to one side"
+            notes["winding"] = f"{turned} triangles were turned, so that all normals point to the same side"
         areas = topology.vertex_areas(vertices, triangles)
         mass = areas / areas.mean() if weights == "area" else np.ones(len(areas))
         return _Design(vertices, triangles, topology.vertex_normals(vertices, triangles), areas, mass), notes
@@ -194,25 +198,25 @@ def _names(patches: Any) -> tuple[str, ...] | None:
 
 def _check(template: object, reject: str, margin: float, weights: str, search_vertices: int | None, up: str) -> None:
     if not isinstance(template, str) or not template:
-        raise UserError("scenario=mesh needs scenario.template=FILE, the surface mesh that is to be deformed")
+        raise UserError("scenario=mesh needs scenario.template=FILE, the surface mesh to deform")
     if reject not in REJECTIONS:
         raise UserError(f"scenario.reject={reject}: choose one of {', '.join(REJECTIONS)}")
     if weights not in WEIGHTS:
         raise UserError(f"scenario.weights={weights}: choose one of {', '.join(WEIGHTS)}")
     if up not in ("x", "y", "z"):
-        raise UserError(f"scenario.up={up}: choose x, y or z, the axis that is up in pictures")
+        raise UserError(f"scenario.up={up}: choose x, y or z, the axis that points up in pictures")
     if not 0.0 <= margin < 100.0:
-        raise UserError(f"scenario.margin={margin}: a fraction of the diagonal, 0 or larger, is expected")
+        raise UserError(f"scenario.margin={margin}: give a fraction of the diagonal, 0 or larger")
     if search_vertices is not None and search_vertices < 100:
-        raise UserError(f"scenario.search_vertices={search_vertices}: at least 100 are needed")
+        raise UserError(f"scenario.search_vertices={search_vertices}: give at least 100, or null for all")
 
 
 def _which(template: Template, both: bool) -> str:
     if both:
-        return "scenario.target and scenario.sensitivity are both given: give one of them"
+        return "scenario.target and scenario.sensitivity are both set: give only one of them"
     arrays = ", ".join(sorted(template.arrays)) or "none"
     return (
-        "scenario=mesh needs one of scenario.target=FILE and scenario.sensitivity=NAME_OR_FILE "
+        "scenario=mesh needs either scenario.target=FILE or scenario.sensitivity=NAME_OR_FILE "
         f"(point arrays in the template: {arrays})"
     )
 
@@ -221,19 +225,17 @@ def _box(vertices: Points, margin: float) -> tuple[Tensor, Tensor]:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     around = margin * float(np.linalg.norm(high - low))
     if around == 0.0 and (high == low).any():
-        raise UserError(
-            "scenario.margin=0: the template is flat, so that its box has no volume; choose a larger margin"
-        )
+        raise UserError("scenario.margin=0: the template is flat, so its box has no volume; choose a margin above 0")
     return torch.from_numpy(low - around), torch.from_numpy(high + around)
 
 
 def _paired(
     design: _Design, target: str, scale: float | None, reject: str
 ) -> tuple[Pairing, dict[str, str], list[str]]:
-    """Pairs of the design's vertices with the target, once its units are not in doubt."""
+    """Pairs of the design's vertices with the target, after a check of its unit; notes and warnings."""
     points, triangles = read_surface(target)
     if scale is not None and not (math.isfinite(scale) and scale > 0):
-        raise UserError(f"scenario.target_scale={scale}: a positive number is expected")
+        raise UserError(f"scenario.target_scale={scale}: give a positive number")
     if scale is not None:
         with np.errstate(over="ignore"):
             points = points * scale
@@ -241,70 +243,50 @@ def _paired(
     mine, its = (float(np.linalg.norm(np.ptp(part, axis=0))) for part in (design.vertices, points))
     if scale is None and not 1.0 / MIXED_UNITS < its / mine < MIXED_UNITS:
         raise UserError(
-            f"{target}: the target's diagonal is {its:.4g}, the template's {mine:.4g}: are these two units? "
-            f"scenario.target_scale={nearest_unit(mine / its):g} scales the target, scenario.target_scale=1 leaves it"
+            f"{target}: the target's diagonal is {its:.4g}, the template's {mine:.4g}: are their units different? Set "
+            f"scenario.target_scale={nearest_unit(mine / its):g} to scale the target, or 1 to keep its size"
         )
     points, triangles = placement.merge_coincident(points, triangles)
     if triangles is not None and len(triangles) == 0:
-        raise UserError(f"{target}: no triangle is left once coincident vertices are merged")
+        raise UserError(f"{target}: merging coincident vertices leaves no triangle; check the file")
     found = pair(design.vertices, design.normals, points, triangles, reject)
     kind = "a cloud" if triangles is None else f"{len(triangles)} triangles"
     notes = {"target": f"{target}: {len(points)} distinct vertices, {kind}"} | found.notes
     if found.rejected.all():
-        raise UserError(f"{target}: every pair of template and target is rejected; check their places, or reject=none")
+        raise UserError(
+            f"{target}: all pairs of template and target are rejected; check that both are in the same place, or set "
+            "scenario.reject=none"
+        )
     apart = np.maximum(
         points.min(axis=0) - design.vertices.max(axis=0), design.vertices.min(axis=0) - points.max(axis=0)
     )
     warnings = []
     if apart.max() > mine:
-        warnings.append(f"the target lies {apart.max():.3g} away from the template: are they in the same frame?")
+        warnings.append(
+            f"the target lies {apart.max():.3g} away from the template: do both have the same coordinate system?"
+        )
     return found, notes, warnings
 
 
-def _doubts(design: _Design, template: str, source: str, read: Template, values: NDArray[np.float64]) -> list[str]:
-    """Warnings about a sensitivity whose side or order of rows cannot be told from the files."""
-    said = []
+def _sensitivity_warnings(
+    design: _Design, template: str, source: str, read: Template, values: NDArray[np.float64]
+) -> list[str]:
+    """Warnings about a sensitivity whose side or order of rows the files leave open."""
+    found = []
     if values.ndim == 1 and topology.inward(design.vertices, design.triangles):
-        said.append(
-            f"{template}: the surface is open and its triangles are wound so that normals point inwards, where "
-            "they are taken for outwards: turn the triangles, or use scenario.objective=maximize"
+        found.append(
+            f"{template}: the surface is open, and its normals seem to point inwards, but the sensitivity is taken "
+            "along outward normals: turn the triangles, or set scenario.objective=maximize"
         )
     if template.lower().endswith(".stl") and source not in read.arrays:
-        said.append(
-            f"{source}: an STL file has no order of vertices; its rows are taken in the order in which the file first "
-            "names each vertex. A VTP file with the array in it leaves no doubt"
+        found.append(
+            f"{source}: an STL file has no order of vertices, so rows are taken in the order in which vertices first "
+            "appear in it; to be certain, use a VTP file that contains the array"
         )
-    return said
+    return found
 
 
 def _convention(source: str, values: NDArray[np.float64], kind: str, objective: str) -> str:
-    form = "one value a vertex, along its normal" if values.ndim == 1 else "three components a vertex"
+    form = "one value per vertex, along its normal" if values.ndim == 1 else "three components per vertex"
     way = "against" if objective == "minimize" else "along"
-    return f"{source}: {form}, {kind}; the objective is to {objective}, the design wants to move {way} it"
-
-
-def _open_faces(vertices: Tensor, faces: Tensor, region: Region | None) -> Tensor:
-    """The triangles that centers may be drawn on: all, or those with no corner in the region where none may sit."""
-    if region is None:
-        return faces
-    kept = faces[~region.contains(vertices)[faces].any(dim=1)]
-    if not len(kept):
-        raise UserError("scenario.keep_out=true leaves no triangle that a center may sit on")
-    return kept
-
-
-def _sampler(vertices: Tensor, faces: Tensor) -> Sampler:
-    """Centers uniform on the surface."""
-    corners = vertices[faces]
-    area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1)
-    cumulative = area.cumsum(0)
-
-    def sample(count: int, m: int, generator: torch.Generator) -> Tensor:
-        """Draw [count, m, 3] centers uniformly on the surface."""
-        draws = torch.rand(3, count, m, generator=generator, dtype=torch.float64)
-        face = torch.searchsorted(cumulative, draws[0] * cumulative[-1]).clamp(max=len(faces) - 1)
-        root = draws[1].sqrt()
-        shares = torch.stack((1.0 - root, root * (1.0 - draws[2]), root * draws[2]), dim=-1)
-        return (shares[..., None] * corners[face]).sum(-2)
-
-    return sample
+    return f"{source}: {form}, {kind}; to {objective} the objective, the design should move {way} it"

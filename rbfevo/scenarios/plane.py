@@ -74,5 +74,5 @@ def _grid_size(resolution: object) -> tuple[int, int]:
     sizes: list[Any] = list(resolution) if isinstance(resolution, Sequence) else []
     whole = all(isinstance(size, int) and not isinstance(size, bool) for size in sizes)
     if len(sizes) != 2 or not whole or min(sizes) < 2:
-        raise UserError(f"resolution must be two whole numbers of at least 2, such as [150,150], not {resolution}")
+        raise UserError(f"scenario.resolution={resolution}: give two whole numbers of at least 2, such as [150,150]")
     return sizes[0], sizes[1]

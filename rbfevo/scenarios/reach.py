@@ -1,4 +1,4 @@
-"""Warnings about a support radius that is too short for the vertices or for where the centers sit, or too long."""
+"""Warnings about a support radius that is too small for the vertices or the places of the centers, or too large."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def unfit(scenario: Scenario, support: float | None) -> list[str]:
     if support is not None and support > FARTHEST * scenario.diagonal:
         return [
             f"the support radius {support:g} is {support / scenario.diagonal:.3g} times the diagonal of "
-            "the box: every center moves everything almost alike (a percentage of it is written kernel.support=15%)"
+            "the box, so every center moves everything almost alike; for a percentage write kernel.support=15%"
         ]
     if support is None or not len(faces):
         return []
@@ -26,8 +26,8 @@ def unfit(scenario: Scenario, support: float | None) -> list[str]:
     if support >= spacing:
         return []
     return [
-        f"the support radius {support:g} is below the vertex spacing {spacing:g} (median edge): a center moves "
-        "one vertex or none; enlarge kernel.support"
+        f"the support radius {support:g} is below the vertex spacing {spacing:g} (median edge), so a center moves "
+        "one vertex or none; increase kernel.support"
     ]
 
 
@@ -48,6 +48,6 @@ def out_of_reach(scenario: Scenario, support: float | None, centers: Tensor) -> 
     if not bool((idle > 0).any()):
         return []
     return [
-        f"{int((idle > 0).sum())} of {len(idle)} setups have centers (up to {int(idle.max())}) without a vertex within "
-        f"the support radius {support:g}: they move nothing, and R is 0 there"
+        f"{int((idle > 0).sum())} of {len(idle)} setups have R = 0: some of their centers (up to {int(idle.max())}) "
+        f"have no vertex within the support radius {support:g} and move nothing"
     ]

@@ -1,4 +1,4 @@
-"""What every scenario hands on: a mesh, the wanted displacement, the box, and a way to draw centers."""
+"""The result of every scenario: a mesh, the wanted displacement, the box, and a sampler of centers."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ class Scenario:
         sample: (count, m, generator) -> [count, m, d] random centers inside the box.
         gradient_norm: the norm that g had before it was scaled (model units; displacement = gradient * gradient_norm);
             that of huge sensitivities may be infinite.
-        notes: facts worth a line in the run's log and summary (what was rejected, what the scan was, ...).
-        closest: points [q, 3] -> the closest points [q, 3] of a target that may be met anywhere (NumPy, on the host);
+        notes: facts for the run's log and summary (rejected pairs, the scan, ...), by title.
+        closest: points [q, 3] -> closest points [q, 3] on a target that may be matched anywhere (NumPy, on the host);
             None where the wanted displacement is fixed.
         stays: [n] bool, the vertices that have no pair on that target and are to stay where they are; None if all
             have one.
-        direction_only: whether g says where to move but not how far, as a sensitivity does.
+        direction_only: whether g gives a direction but no length, as a sensitivity does.
         mirror: the plane that setups stay symmetric about, or None.
         keep_out: where no center may sit, or None.
         search_vertices: weighted vertices that searches look at instead of all, or None for all.
         up: the axis that is up in pictures, x, y or z.
-        warnings: what the user should know before trusting a result.
+        warnings: a line for each reason to doubt the results.
         rows: [n] which points of the template's file the vertices are, or None where there is no file.
     """
 
@@ -79,7 +79,7 @@ class Scenario:
             or self.upper.shape != (d,)
             or (self.stays is not None and self.stays.shape != (n,))
         ):
-            raise UserError(f"scenario {self.name}: vertices, gradient, weights and box do not fit together")
+            raise UserError(f"scenario {self.name}: vertices, gradient, weights and box have shapes that do not match")
         for name in ("vertices", "gradient", "weights", "lower", "upper"):
             if not bool(torch.isfinite(getattr(self, name)).all()):
                 raise UserError(f"scenario {self.name}: {name} has values that are not finite")
@@ -107,14 +107,14 @@ class Scenario:
 
     @property
     def parameterization(self) -> Parameterization:
-        """What makes setups of points in the box."""
+        """The map from points in the box to setups."""
         return Parameterization(self.mirror, self.side, self.keep_out)
 
     def half(self, open_only: bool = False) -> Scenario:
         """The design on the centers' side of the mirror, plane included; the whole one where there is no mirror.
 
-        With `open_only`, without the vertices in the region where no center may sit. Where nothing is left that wants
-        to move, the whole design. It has no faces.
+        With `open_only`, without the vertices in the region where no center may sit. If no vertex that should move is
+        left, it is the whole design. It has no faces.
         """
         if self.mirror is None and not (open_only and self.keep_out is not None):
             return self
@@ -149,14 +149,14 @@ def unit_gradient(gradient: Tensor, weights: Tensor) -> tuple[Tensor, float]:
     gradient = torch.from_numpy(scaled)
     norm = float(torch.sqrt((weights[:, None] * gradient**2).sum()))
     if not norm > 0.0:
-        raise UserError("the estimated fitness gradient is zero at every vertex: the target moves nothing")
+        raise UserError("the estimated fitness gradient is zero at every vertex: is the target the template itself?")
     return gradient / norm, times_power_of_two(norm, exponent)
 
 
 def near_one(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
-    """Values times 2^-e, and e, such that the largest is from 0.5 to 1: none of their squares is too large or lost.
+    """Values times 2^-e, and e, such that the largest is from 0.5 to 1: no square overflows or underflows.
 
-    Only powers of two are exact: what follows has the same digits as without, where that is of an ordinary size.
+    Powers of two are exact, so values of ordinary size lead to the same digits with and without this scaling.
     """
     exponent = math.frexp(float(np.abs(values).max(initial=0.0)))[1]
     return np.ldexp(values, -exponent), exponent

@@ -1,10 +1,10 @@
-"""From an adjoint solver's sensitivities to the displacement that a design wants.
+"""From an adjoint solver's sensitivities to the wanted displacement of a design.
 
 The solver gives dJ/dx at every vertex, either integrated over the vertex's share of the surface (nodal, what a discrete
 adjoint returns) or per area (density). The estimated fitness gradient is the direction of steepest descent of J in the
 inner product that the vertex weights define, <u, v> = sum_i w_i u_i.v_i: g_i = -s_i / w_i with nodal values s_i. So a
-density counts times the vertex's area with uniform weights, and as it is with area weights, for which g is, but for the
-discretization, the same on every mesh of a shape.
+density is multiplied by the vertex's area with uniform weights, and used unchanged with area weights, for which g is
+the same on every mesh of a shape, up to the discretization.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def check(kind: str, objective: str) -> None:
     """Refuse unknown choices.
 
     Raises:
-        UserError: naming the key and what there is.
+        UserError: naming the key and the valid choices.
     """
     if kind not in KINDS:
         raise UserError(f"scenario.sensitivity_kind={kind}: choose one of {', '.join(KINDS)}")

@@ -1,4 +1,4 @@
-"""The plane that a design stays symmetric about, and how symmetric its mesh and its wanted displacement are."""
+"""The symmetry plane of a design, and how symmetric its mesh and its wanted displacement are."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from rbfevo.geometry.correspondence import Points, Triangles, closest_on_surface
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.topology import rim
 
-LOOKED_AT = 20_000  # vertices: enough to tell how symmetric a mesh is
+LOOKED_AT = 20_000  # vertices: enough to measure how symmetric a mesh is
 LOPSIDED = 0.01  # of the box's diagonal
 MOST_OF_RIM, FLAT_RIM = 0.8, 1e-6  # of the open boundary's vertices; of the diagonal
 HOPELESS = 0.999  # of |g|^2
-ONE_SIDED = 0.02  # of the vertices on the side that has fewer: half a model
+ONE_SIDED = 0.02  # fewer vertices than this on one side, over those on the other: half a model
 
 
 def mirror_of(
@@ -34,7 +34,7 @@ def mirror_of(
     """
     if axis is None:
         if at is not None:
-            raise UserError("scenario.symmetry_at needs scenario.symmetry=x, y or z")
+            raise UserError("scenario.symmetry_at needs scenario.symmetry, the axis across the plane: x, y or z")
         return None
     if axis not in ("x", "y", "z"):
         raise UserError(f"scenario.symmetry={axis}: choose x, y or z, the axis across the plane, or null")
@@ -47,23 +47,25 @@ def mirror_of(
         at = cut[0] if len(cut) == 1 else (low + high) / 2.0
     mirror = Mirror.across(number, at, lower, upper)
     if max(high - at, at - low) <= mirror.tolerance:
-        raise UserError(f"scenario.symmetry={axis}: the whole template lies in the plane {axis} = {at:g}")
+        raise UserError(
+            f"scenario.symmetry={axis}: the whole template lies in the plane {axis} = {at:g}; choose another"
+        )
     return mirror
 
 
-def words(
+def notes_and_warnings(
     mirror: Mirror, vertices: Points, triangles: Triangles, gradient: NDArray[np.float64], weights: NDArray[np.float64]
 ) -> tuple[dict[str, str], list[str]]:
-    """Notes, and warnings: how far mirror images lie from the surface, how much of g [n, 3] is not symmetric.
+    """Notes and warnings: how far mirror images lie from the surface, and how much of g [n, 3] is not symmetric.
 
     Raises:
-        UserError: if nothing of g is symmetric.
+        UserError: if g is antisymmetric.
     """
     name = f"{'xyz'[mirror.axis]} = {mirror.at:g}"
     heights = vertices[:, mirror.axis] - mirror.at
     beyond = np.sort([(heights > mirror.tolerance).sum(), (heights < -mirror.tolerance).sum()])
     if beyond[0] <= ONE_SIDED * beyond[1]:
-        return {"symmetry": f"about {name}; the template is one half, its other half is not scored"}, []
+        return {"symmetry": f"symmetry about {name}; the template is one half, and the other half is not scored"}, []
     some = np.linspace(0, len(vertices) - 1, min(len(vertices), LOOKED_AT)).astype(np.int64)
     images = mirror.image(torch.from_numpy(vertices[some])).numpy()
     closest, _ = closest_on_surface(images, vertices, triangles)
@@ -77,12 +79,12 @@ def words(
     share = float(odd / max((weights[some, None] * gradient[some] ** 2).sum(), np.finfo(float).tiny))
     if share > HOPELESS:
         raise UserError(
-            f"symmetry about {name}: what the template wants is antisymmetric, so that no symmetric setup can do any "
-            "of it; check scenario.symmetry and scenario.symmetry_at"
+            f"symmetry about {name}: the wanted displacement is antisymmetric, so no symmetric setup can follow it; "
+            "check scenario.symmetry and scenario.symmetry_at"
         )
     notes = {
-        "symmetry": f"about {name}: mirror images lie within {distance:.3g} of the surface; {share:.1%} of |g|^2 is "
-        "not symmetric, and out of reach"
+        "symmetry": f"symmetry about {name}: mirror images lie within {distance:.3g} of the surface; {share:.1%} of "
+        "|g|^2 is not symmetric, and out of reach"
     }
     if distance > LOPSIDED * diagonal:
         return notes, [

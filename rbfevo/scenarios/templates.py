@@ -1,4 +1,4 @@
-"""Read an engineer's template: a surface, and every array that the file stores with its points."""
+"""Read a user's template: a surface, and the arrays of its points and cells."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rbfevo.meshes import cells, opened
 from rbfevo.meshes.mesh import Mesh
 from rbfevo.meshes.surface import Surface
 from rbfevo.names import existing_home
-from rbfevo.scenarios.surfaces import checked_extent, surface
+from rbfevo.scenarios.reading import checked_extent, surface
 
 _ROUNDING = 4.0 * np.finfo(np.float64).eps
 
@@ -30,7 +30,7 @@ class Template:
         arrays: numeric point arrays by name, float64, [n] or [n, c].
         rows: [n] int64, ascending: which of the file's points each vertex is (STL: after merging).
         count: points in the file (STL: after merging).
-        notes: one line each for what was accepted but is worth knowing.
+        notes: a line for each oddity that was accepted, by title.
         cell_arrays: numeric arrays of the file's cells by name, [c] or [c, k].
         cell: [f] int64, the cell that each triangle is a part of; -1 on the boundary of a volume.
         numbers: [count] the file's own numbers of its points, where the format has them.
@@ -80,7 +80,7 @@ def template_of(path: Path, mesh: Mesh, found: Surface) -> Template:
         raise UserError(f"{path}: {_without_faces(mesh)}")
     cell = np.full(len(triangles), -1) if found.cell is None else found.cell
     if path.suffix.lower() == ".stl":
-        notes["merged vertices"] = f"{len(points)} points of the STL file, exactly equal ones merged"
+        notes["merged vertices"] = f"{len(points)} points of the STL file, equal ones merged"
         points, triangles = _merged(points, triangles)
         notes["merged vertices"] += f": {len(points)} vertices"
 
@@ -92,18 +92,20 @@ def template_of(path: Path, mesh: Mesh, found: Surface) -> Template:
         triangles, cell = triangles[kept], cell[kept]
     kept = _first_of_equal(triangles)
     if not kept.all():
-        notes["repeated triangles"] = f"{int((~kept).sum())} triangles repeat others and are left out"
+        notes["repeated triangles"] = f"{int((~kept).sum())} triangles repeat another one and are left out"
         triangles, cell = triangles[kept], cell[kept]
 
     used = np.zeros(len(points), bool)
     used[triangles] = True
     rows = np.flatnonzero(used)
     if len(rows) < len(points):
-        notes["unused points"] = f"{len(points) - len(rows)} of {len(points)} points belong to no triangle, left out"
+        notes["unused points"] = (
+            f"{len(points) - len(rows)} of {len(points)} points are in no triangle and are left out"
+        )
     vertices = points[rows]
     coincident = len(vertices) - int(_first_rows(vertices)[0].sum())
     if coincident:
-        notes["coincident vertices"] = f"{coincident} vertices coincide with others; each counts by itself"
+        notes["coincident vertices"] = f"{coincident} vertices coincide with others; each is counted separately"
     renumbered = np.cumsum(used) - 1
     return Template(
         vertices,
@@ -120,14 +122,14 @@ def template_of(path: Path, mesh: Mesh, found: Surface) -> Template:
 
 
 def _without_faces(mesh: Mesh) -> str:
-    """Why there is no surface in a mesh, and what can be done."""
+    """Why a mesh has no surface, and what to do."""
     lines = cells.counts(mesh.cells).get("lines", 0)
     if lines:
         return (
-            f"holds a curve ({lines} lines) and no faces; rbfevo deforms surfaces: extrude the curve by one cell, "
-            "or give the mesh of the plane or volume that it bounds"
+            f"it holds a curve ({lines} lines) and no faces, but rbfevo deforms surfaces: extrude the curve by one "
+            "cell, or give the mesh of the area that it bounds"
         )
-    return f"holds {len(mesh.points)} points but no faces (a cloud, or damaged?); a surface with faces is wanted"
+    return f"it holds {len(mesh.points)} points but no faces (a cloud, or damaged?); give a surface mesh"
 
 
 def _with_area(path: Path, points: Points, triangles: Triangles) -> NDArray[np.bool_]:
@@ -143,7 +145,7 @@ def _with_area(path: Path, points: Points, triangles: Triangles) -> NDArray[np.b
             f"{path}: {bad} of {len(used)} vertices of its triangles have coordinates that are not finite "
             "(NaN or infinite)"
         )
-    scaled = points / checked_extent(path, points[used])  # so that no square is too large or too small
+    scaled = points / checked_extent(path, points[used])  # so that no square overflows or underflows
     sound = np.flatnonzero(kept)
     corners = scaled[triangles[sound]]
     edges = np.roll(corners, -1, axis=1) - corners

@@ -1,4 +1,4 @@
-"""Units of length that files mix up."""
+"""Ratios of units of length, to recognize files in different units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One number or vector for each vertex of a template: an array of its file, or a table of the user's own."""
+"""One number or vector for each vertex of a template: an array of its file, or a table in another file."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def vertex_array(source: str, template: Template, what: str, match: str = "exact
             file's points (`template.count`, of which `template.rows` are picked), for each vertex, or for each cell.
         template: the surface; what: the key below `scenario`, for messages.
         match: `exact`; `nearest` or `interpolate` take the values of another mesh, by the coordinates in the table.
-        kind: what the values of cells are, as `matching.from_cells` takes it.
+        kind: the kind of the values of cells, as `matching.from_cells` takes it.
 
     Raises:
         UserError: if there is no such array or file, or it is unreadable, of the wrong length or number of columns,
-            does not say which value belongs to which vertex, or is not finite.
+            does not determine which value belongs to which vertex, or is not finite.
     """
     try:
         if source in template.arrays:
@@ -71,9 +71,9 @@ def _file(source: str, template: Template) -> Path:
     if there and ending in ENDINGS:
         return path
     if there:
-        raise UserError(f"unknown ending '{ending}'; a file with a row for each vertex can be {_listed(ENDINGS)}")
+        raise UserError(f"unknown ending '{ending}'; give a file that ends in one of {_listed(ENDINGS)}")
     if ending in ENDINGS or "/" in source or "\\" in source:
-        raise UserError("no such file" if not path.is_dir() else "is a directory; give a file")
+        raise UserError("no such file" if not path.is_dir() else "it is a directory; give a file")
     names = sorted(template.arrays)
     close = difflib.get_close_matches(source, [*names, *template.cell_arrays], n=1)
     hint = f", did you mean '{close[0]}'?" if close else ";"
@@ -85,8 +85,8 @@ def _file(source: str, template: Template) -> Path:
 def _of_cells(values: Array, template: Template, kind: str, title: str) -> VertexArray:
     if (template.cell < 0).any():
         raise UserError(
-            "belongs to the cells of a volume, of which only the boundary is taken; convert it to point data first "
-            "(ParaView: Cell Data to Point Data)"
+            "it belongs to the cells of a volume mesh, of which only the boundary is used; convert it to point data "
+            "first (ParaView: Cell Data to Point Data)"
         )
     how = {"nodal": "integrated over each cell, shared by its corners", "density": "per area", "marks": "marks"}[kind]
     bad = int((~np.isfinite(values)).reshape(len(values), -1).any(axis=1).sum())
@@ -111,7 +111,7 @@ def _read(path: Path, template: Template, what: str, match: str, kind: str) -> V
         raise
     except FormatError as error:
         raise UserError(f"not a readable {path.suffix[1:].upper()} file ({error})") from None
-    except Exception as error:  # NumPy and zipfile raise whatever they like on a damaged file
+    except Exception as error:  # NumPy and zipfile raise many kinds of errors on a damaged file
         lines = str(error).strip().splitlines()
         reason = lines[0].strip()[:160] if lines else type(error).__name__
         raise UserError(f"not a readable {path.suffix[1:].upper()} file ({reason})") from None
@@ -125,16 +125,18 @@ def _load(path: Path, what: str) -> NDArray:
         names = {entry.removesuffix(".npy"): entry for entry in archive.namelist() if entry.endswith(".npy")}
         name = what if what in names else next(iter(names), None)
         if name is None:
-            raise UserError("there is no array in it")
+            raise UserError("it holds no array")
         if len(names) > 1 and name != what:
-            raise UserError(f"it holds {len(names)} arrays, none named '{what}': {_listed(names)}; name one so")
+            raise UserError(
+                f"it holds {len(names)} arrays, but none named '{what}': {_listed(names)}; rename the one to use"
+            )
         with archive.open(names[name]) as file:
             return np.lib.format.read_array(file, allow_pickle=False)
 
 
 def _numbers(values: NDArray) -> Array:
     if values.dtype.kind not in "fiub":
-        raise UserError(f"its entries are no real numbers (dtype {values.dtype})")
+        raise UserError(f"its values are not real numbers (dtype {values.dtype})")
     return values.astype(np.float64)
 
 
@@ -151,7 +153,7 @@ def _by_order(values: Array, template: Template, kind: str) -> VertexArray:
 def _of_table(table: TextTable, template: Template, what: str, match: str, kind: str) -> VertexArray:
     """The values of a table, each at its vertex."""
     if table.header is None:
-        columns, values = _nameless(table, template)
+        columns, values = _without_header(table, template)
     else:
         columns = recognized(table.header)
         values = _chosen(table, columns, what).columns
@@ -191,8 +193,8 @@ def _by_ids(table: TextTable, columns: Columns, template: Template) -> Match:
     raise problems[0]
 
 
-def _nameless(table: TextTable, template: Template) -> tuple[Columns, tuple[int, ...]]:
-    """Coordinates, ids and values of a table without a header: only where it can be one thing alone."""
+def _without_header(table: TextTable, template: Template) -> tuple[Columns, tuple[int, ...]]:
+    """Coordinates, ids and values of a table without a header, if there is only one way to read it."""
     nothing = Columns({}, "", (), (), (), ())
     if table.width == 1:
         return nothing, (0,)
@@ -200,11 +202,11 @@ def _nameless(table: TextTable, template: Template) -> tuple[Columns, tuple[int,
     like = matching.looks_like_coordinates(numbers, template)
     if table.width == 3:
         if len(like) == 3:
-            raise UserError("it holds only the coordinates of the mesh, no values")
+            raise UserError("it holds only the coordinates of the mesh and no values")
         if len(like) == 2:
             raise UserError(
-                "its three columns have no names, and two of them are coordinates of the mesh: no vector; add a "
-                "line that names them, as x,y,value"
+                "its three columns have no names, and two of them are coordinates of the mesh; add a first line that "
+                "names them, such as x,y,value"
             )
         return nothing, (0, 1, 2)
     first = numbers[:, 0]
@@ -213,19 +215,19 @@ def _nameless(table: TextTable, template: Template) -> tuple[Columns, tuple[int,
     if table.width in (4, 6):
         return Columns({0: 0, 1: 1, 2: 2}, "", (), (), (), ()), tuple(range(3, table.width))
     raise UserError(
-        f"it has {table.width} columns without names; add a first line that names them, as x,y,z,value or id,value"
+        f"it has {table.width} columns without names; add a first line that names them, such as x,y,z,value or id,value"
     )
 
 
 def _chosen(table: TextTable, columns: Columns, what: str) -> Group:
-    """The one quantity of a table that is meant: that named `what`, or the only one."""
+    """The quantity of a table to use: that named `what`, or the only one."""
     names = table.header or []
     groups = [*columns.values, *columns.aside]
     if not groups:
         named = ", ".join(names)
         raise UserError(
-            f"it holds only ids and coordinates ({named}), no values; a vector's columns are named {what}_x, {what}_y, "
-            f"{what}_z"
+            f"it holds only ids and coordinates ({named}) and no values; name the columns of a vector {what}_x, "
+            f"{what}_y, {what}_z"
         )
     own = [group for group in groups if re.fullmatch(rf"{re.escape(what)}(?:[:_ .-]?[0-2xyz])?", group.name)]
     near = [group for group in columns.values if "sens" in group.name] if what == "sensitivity" else []
@@ -236,8 +238,8 @@ def _chosen(table: TextTable, columns: Columns, what: str) -> Group:
         if zero and len(zero) < len(related):
             full = [group for group in related if group not in zero]
             raise UserError(
-                f"{_headings(zero, names)} is zero in every row, {_headings(full, names)} is not: "
-                "which one is meant? Leave the other one out"
+                f"{_headings(zero, names)} is zero in every row, {_headings(full, names)} is not: which one should be "
+                "used? Remove the other one"
             )
     vectors = [group for group in candidates if len(group.columns) > 1]
     candidates = vectors if (own or near) and len(vectors) == 1 else candidates
@@ -245,7 +247,7 @@ def _chosen(table: TextTable, columns: Columns, what: str) -> Group:
         raise UserError(
             f"it has {len(candidates)} columns or vectors of values "
             f"({'; '.join(_headings([g], names) for g in candidates)}); "
-            f"name the one that is meant {what} (or {what}_x, {what}_y, {what}_z), or leave the others out"
+            f"name the one to use {what} (or {what}_x, {what}_y, {what}_z), or remove the others"
         )
     return candidates[0]
 
@@ -259,7 +261,7 @@ def _shaped(values: Array) -> None:
     if values.ndim not in (1, 2) or (values.ndim == 2 and values.shape[1] not in (1, 3)):
         shape = " x ".join(str(side) for side in values.shape)
         shown = f"it has {values.shape[1]} columns" if values.ndim == 2 else f"it is of shape {shape or 'none'}"
-        raise UserError(f"{shown}; one number or a vector of three for each point is wanted")
+        raise UserError(f"{shown}; give one number or a vector of three for each point")
 
 
 def _fitting(values: Array, template: Template) -> Array:

@@ -1,4 +1,4 @@
-"""What the page of a sweep shows beside its runs: which settings differ, medians and quartiles, plain sentences."""
+"""The comparison on the page of a sweep: the settings that differ, medians and quartiles, plain sentences."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from rbfevo.recorded.sweep import Group, Member
 
 
 def comparison(members: Sequence[Member]) -> dict[str, Any]:
-    """The groups of a sweep by mesh, what tells them apart, and which is best.
+    """The groups of a sweep by mesh, the settings that distinguish them, and which is best.
 
     Meshes are numbered as they first occur among the members.
     """
     groups, varying = sweep.groups(members), sweep.varying(members)
     meshes = list(dict.fromkeys(member.settings["mesh"] for member in members))
-    told = []
+    rivals = []
     for number, mesh in enumerate(meshes):
         here = [group for group in groups if group.settings["mesh"] == mesh]
         keys = [key for key in here[0].varying if len({group.settings[key] for group in here}) > 1]
-        told += [_group(group, number, sweep.name_of(group, keys, here)) for group in sweep.rivals_of(here)]
+        rivals += [_group(group, number, sweep.name_of(group, keys, here)) for group in sweep.rivals_of(here)]
     return {
         "varying": [key for key in varying if key != "mesh"],
         "meshes": [_mesh(members, mesh) for mesh in meshes],
         "sentences": [sentence[0].upper() + sentence[1:] for sentence in sweep.best(groups)],
-        "doubts": sweep.doubts(members),
-        "groups": told,
+        "warnings": sweep.warnings(members),
+        "groups": rivals,
     }
 
 
@@ -37,15 +37,15 @@ def _mesh(members: Sequence[Member], mesh: str) -> str:
 
 
 def _group(group: Group, mesh: int, label: str) -> dict[str, Any]:
-    told: dict[str, Any] = {"mesh": mesh, "label": label, "seeds": group.seeds, "runs": list(group.runs)}
+    entry: dict[str, Any] = {"mesh": mesh, "label": label, "seeds": group.seeds, "runs": list(group.runs)}
     for key, (median, lower, upper) in group.spreads.items():
-        told[key] = {
+        entry[key] = {
             "median": _number(median),
             "first": _number(lower),
             "third": _number(upper),
             "values": [_number(value) for value in group.values[key]],
         }
-    return told
+    return entry
 
 
 def _number(value: float) -> float | None:

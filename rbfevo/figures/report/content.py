@@ -1,4 +1,4 @@
-"""What a page holds of runs: numbers as base64 of their bytes (little-endian), the rest as JSON."""
+"""The contents of a page: arrays as base64 of their bytes (little-endian), all else as JSON."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import Setup, setup
 
 MANY = 2_000  # setups of a sweep: above, each run shows its front and its heuristics only
-MOST = 4_000  # setups of a run: above, every so-manieth of those that others dominate is shown
+MOST = 4_000  # setups of a run: above, of those that others dominate only some are shown
 NUMBERS = 500_000  # coordinates of centers, 4 MB
-EMBEDDED = 4_000_000  # numbers of what setups leave, where the page does not know the formula: 16 MB
+EMBEDDED = 4_000_000  # numbers of residuals, for kernels whose formula the page does not know: 16 MB
 ON_DARK = {
     style.BLUE: "#6aa5f5",
     style.MAGENTA: "#ff66bd",
@@ -66,13 +66,13 @@ def content(runs: Sequence[Shown], meshes: Sequence[str]) -> dict[str, Any]:
     looks: dict[tuple[str, str], dict[str, Any]] = {}
     rows = _rows(runs)
     shown = {mesh: surface_of(record, *_vertices(len(order))).rows for mesh, record in first.items()}
-    told = [
+    parts = [
         _run(run, order.index(mesh), kept, looks, shown[mesh], len(runs))
         for run, mesh, kept in zip(runs, meshes, rows, strict=True)
     ]
     every = sum(len(run.record.usable) for run in runs)
     return {
-        "runs": told,
+        "runs": parts,
         "series": list(looks.values()),
         "meshes": [_mesh(first[mesh], len(order)) for mesh in order],
         "logarithmic": _logarithmic(runs, rows),
@@ -93,7 +93,7 @@ def _hex(color: Sequence[float]) -> str:
 def _rows(runs: Sequence[Shown]) -> list[Array]:
     """The rows of each run that a page shows: all usable ones, where there are not too many of them."""
     rows = [run.record.usable for run in runs]
-    telling = [
+    kept_always = [
         run.record.nondominated[kept] | np.isin(run.record.method[kept], HEURISTICS[1:])
         for run, kept in zip(runs, rows, strict=True)
     ]
@@ -101,10 +101,10 @@ def _rows(runs: Sequence[Shown]) -> list[Array]:
     most = min(MANY if len(runs) > 1 else MOST, NUMBERS // numbers)
     if sum(map(len, rows)) <= most:
         return rows
-    left = sum(int((~some).sum()) for some in telling)
-    room = max(0, most - sum(int(some.sum()) for some in telling)) if len(runs) == 1 else 0
+    left = sum(int((~some).sum()) for some in kept_always)
+    room = max(0, most - sum(int(some.sum()) for some in kept_always)) if len(runs) == 1 else 0
     found = []
-    for kept, some in zip(rows, telling, strict=True):
+    for kept, some in zip(rows, kept_always, strict=True):
         others = kept[~some][:: max(1, -(-left // room))] if room else kept[:0]
         found.append(np.sort(np.concatenate([kept[some], others])))
     return found
@@ -116,19 +116,19 @@ def _vertices(count: int) -> tuple[int, ...]:
 
 
 def _left(record: Record, rows: Array, vertices: Array, room: int) -> tuple[list[int], str]:
-    """What setups leave of the gradient at the vertices shown: for which of `rows`, and float32 [rows, n, k], packed.
+    """The residuals of setups at the vertices shown: for which of `rows`, and float32 [rows, n, k], packed.
 
     The nondominated ones come first; no more than `room` numbers are given.
     """
-    telling = np.argsort(~record.nondominated[rows], kind="stable")
+    chosen_rows = np.argsort(~record.nondominated[rows], kind="stable")
     number = len(vertices) * record.gradient.shape[1]
-    telling = np.sort(telling[: max(1, room // number)])
+    chosen_rows = np.sort(chosen_rows[: max(1, room // number)])
     left = []
-    for row in rows[telling]:
+    for row in rows[chosen_rows]:
         chosen = setup(record, int(row))
         weights = chosen.fit(record)
         left.append(record.gradient[vertices] - chosen.displacement(record.vertices[vertices], weights))
-    return telling.tolist(), packed(np.array(left), "<f4")
+    return chosen_rows.tolist(), packed(np.array(left), "<f4")
 
 
 def _run(
@@ -192,7 +192,7 @@ def _run(
 
 
 def _setup(record: Record, rows: Array) -> Setup | None:
-    """The first of some setups; None where there is none, or what it reaches is not known."""
+    """The first of some setups; None if there is none, or its kernel is not known here."""
     try:
         return setup(record, int(rows[0])) if len(rows) else None
     except UserError:  # a kernel that is unknown here still has centers to show
@@ -238,39 +238,39 @@ def _logarithmic(runs: Sequence[Shown], rows: Sequence[Array]) -> bool:
 
 
 def made(run: Shown) -> dict[str, Any]:
-    """How a run was made: its command, settings, versions, seconds, and what ran."""
-    say = run.record.summary.get
+    """How a run was made: its command, settings, versions, counts and seconds."""
+    entry = run.record.summary.get
     counted = {
-        "evaluations": say("evaluations"),
-        "failed evaluations": say("failed_evaluations"),
-        "gradients": say("gradients"),
-        "seconds": say("seconds"),
-        "evaluations a second": say("evaluations_per_second"),
-        "hypervolume": say("hypervolume"),
-        "stopped by": say("stop_reason"),
-        "seed": say("seed"),
-        "device": say("device"),
-        "evaluator": say("evaluator"),
-        "threads": say("threads"),
-        "saved rows scored by": say("scored_by"),
-        "vertices": say("vertices"),
-        "vertices of the search": say("search_vertices"),
+        "evaluations": entry("evaluations"),
+        "failed evaluations": entry("failed_evaluations"),
+        "gradients": entry("gradients"),
+        "seconds": entry("seconds"),
+        "evaluations a second": entry("evaluations_per_second"),
+        "hypervolume": entry("hypervolume"),
+        "stopped by": entry("stop_reason"),
+        "seed": entry("seed"),
+        "device": entry("device"),
+        "evaluator": entry("evaluator"),
+        "threads": entry("threads"),
+        "saved rows scored by": entry("scored_by"),
+        "vertices": entry("vertices"),
+        "vertices of the search": entry("search_vertices"),
     }
     return {
         "command": command(run.directory),
         "facts": {key: value for key, value in counted.items() if value is not None},
-        "versions": say("versions") or {},
-        "notes": say("notes") or {},
-        "warnings": say("warnings") or [],
+        "versions": entry("versions") or {},
+        "notes": entry("notes") or {},
+        "warnings": entry("warnings") or [],
     }
 
 
 def command(directory: Path) -> str | None:
-    """The command that made a run, as Hydra recorded it; None where it did not."""
+    """The command that made a run, as Hydra recorded it; None if there is no record."""
     try:
-        words = OmegaConf.to_container(OmegaConf.load(directory / ".hydra" / "overrides.yaml"))
+        saved = OmegaConf.to_container(OmegaConf.load(directory / ".hydra" / "overrides.yaml"))
     except (OSError, ValueError, YAMLError, OmegaConfBaseException):
         return None
-    if not isinstance(words, list):
+    if not isinstance(saved, list):
         return None
-    return shlex.join(["python", "-m", "rbfevo", *map(str, words)])
+    return shlex.join(["python", "-m", "rbfevo", *map(str, saved)])

@@ -36,7 +36,7 @@ def page(record: Record, directory: Path) -> str:
         facts.append(f"symmetric about {symmetry.get('axis')} = {symmetry.get('at')}")
     shown_content = content([Shown("", ".", directory, record, {})], [""])
     if shown_content["left_out"]:
-        facts.append(f"{shown_content['left_out']:,} dominated ones left out here")
+        facts.append(f"{shown_content['left_out']:,} dominated setups left out here")
     return assembled({**shown_content, "title": record.title, "subtitle": " · ".join(facts)})
 
 
@@ -64,12 +64,12 @@ def page_of_sweep(members: Sequence[Member], directory: Path, out: Path) -> str:
     setups = sum(len(member.record.usable) for member in members)
     facts = [f"{len(members):,} run{'s' * (len(members) != 1)}", f"{setups:,} setups"]
     if shown_content["left_out"]:
-        facts.append(f"{shown_content['left_out']:,} of them left out here, dominated within their run")
+        facts.append(f"{shown_content['left_out']:,} of them, dominated within their run, left out here")
     return assembled({**shown_content, "title": f"Sweep {directory.resolve().name}", "subtitle": " · ".join(facts)})
 
 
 def assembled(shown_content: dict[str, Any]) -> str:
-    """The parts of the page and its content, as one file that fetches nothing."""
+    """The parts of the page and its content, as one file that loads nothing else."""
     from plotly.offline import get_plotlyjs
 
     scripts = [path.read_text(encoding="utf-8") for path in sorted((PARTS / "js").glob("*.js"))]

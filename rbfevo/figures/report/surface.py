@@ -42,7 +42,7 @@ def surface_of(record: Record, most: int = MOST) -> Surface:
 
 
 def _sampled(record: Record, most: int) -> tuple[Array, Array]:
-    """Every so-manieth vertex of a design without faces."""
+    """Evenly spaced vertices of a design without faces."""
     return np.linspace(0, len(record.vertices) - 1, most).round().astype(int), record.faces[:0]
 
 
@@ -70,6 +70,6 @@ def _binned(record: Record, most: int) -> tuple[Array, Array]:
             coarsest, found = cells, fewer
         else:
             finest = cells
-    if found is None:  # not even one cell: nothing that VTK could make of it
+    if found is None:  # VTK cannot simplify it, even to one cell
         return _sampled(record, most)
     return np.asarray(found.point_data["row"]).round().astype(int), np.asarray(found.regular_faces)

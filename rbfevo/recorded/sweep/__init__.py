@@ -8,7 +8,6 @@ from rbfevo.recorded.sweep.tables import (
     Group,
     Line,
     Spread,
-    doubts,
     groups,
     hypervolume,
     lines,
@@ -17,6 +16,7 @@ from rbfevo.recorded.sweep.tables import (
     table_of_medians,
     table_of_runs,
     varying,
+    warnings,
 )
 
 __all__ = [
@@ -27,7 +27,6 @@ __all__ = [
     "Member",
     "Spread",
     "best",
-    "doubts",
     "find",
     "groups",
     "hypervolume",
@@ -42,4 +41,5 @@ __all__ = [
     "table_of_medians",
     "table_of_runs",
     "varying",
+    "warnings",
 ]

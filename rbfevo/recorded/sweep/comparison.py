@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rbfevo.recorded.sweep.members import word
+from rbfevo.recorded.sweep.members import typed
 from rbfevo.recorded.sweep.tables import ALL, FIRST, QUANTITIES, Group, origins_of
 
 Value = tuple[Any, ...]  # of one or more settings that are compared together
 ENOUGH = 5  # seeds: by chance alone all of five lead all of five others in 1 of 252 cases
-LEVEL = 1e-9  # two medians closer than this, relatively, are level
+LEVEL = 1e-9  # two medians closer than this, relatively, are tied
 
 
 def best(groups: Sequence[Group]) -> list[str]:
@@ -36,39 +36,39 @@ def best(groups: Sequence[Group]) -> list[str]:
     return sentences
 
 
-def words(settings: dict[str, Any], keys: Iterable[str]) -> str:
-    """Settings in words, such as `wendland, support 0.25, direct, method.generations=6`; null is left out."""
-    told = []
+def description(settings: dict[str, Any], keys: Iterable[str]) -> str:
+    """Settings as text, such as `wendland, support 0.25, direct, method.generations=6`; null is left out."""
+    parts = []
     for key in keys:
         value = settings[key]
         if value is None:
             continue
         shown = _shown(settings, key)
         if key == "centers":
-            told.append(f"{shown} centers")
+            parts.append(f"{shown} centers")
         elif key in ("scenario", "kernel", "manipulation", "method"):
-            told.append(shown)
+            parts.append(shown)
         else:
-            told.append(f"{key} {shown}" if key in FIRST else f"{key}={shown}")
-    return ", ".join(told)
+            parts.append(f"{key} {shown}" if key in FIRST else f"{key}={shown}")
+    return ", ".join(parts)
 
 
 def _shown(settings: dict[str, Any], key: str) -> str:
     """The value of one setting; a radius that was given as a percentage with that."""
     value, given = settings[key], settings.get("kernel.support")
-    shown = f"{value:.4g}" if isinstance(value, float) else word(value)
+    shown = f"{value:.4g}" if isinstance(value, float) else typed(value)
     return f"{shown} ({given})" if key == "support" and isinstance(given, str) else shown
 
 
-def telling(group: Group, keys: Sequence[str], groups: Sequence[Group]) -> list[str]:
-    """Those of the keys that are worth saying of a group, since they do not follow from the others."""
+def distinguishing(group: Group, keys: Sequence[str], groups: Sequence[Group]) -> list[str]:
+    """Those of the keys that describe a group, since they do not follow from the others."""
 
-    def open_to(key: str) -> bool:
+    def is_free(key: str) -> bool:
         origins = [origin for origin in origins_of(key) if origin in keys]
         alike = [g for g in groups if all(g.settings[origin] == group.settings[origin] for origin in origins)]
         return not origins or len({g.settings[key] for g in alike}) > 1
 
-    return [key for key in keys if open_to(key)]
+    return [key for key in keys if is_free(key)]
 
 
 def _is_random(group: Group) -> bool:
@@ -94,7 +94,8 @@ def rivals_of(groups: Sequence[Group]) -> list[Group]:
 def name_of(group: Group, keys: Sequence[str], groups: Sequence[Group]) -> str:
     """A group among `groups` on the same mesh, by those of the `keys` that tell it from the others, and its series."""
     series = "" if group.series == ALL else group.series
-    return ", ".join(filter(None, (words(group.settings, telling(group, keys, groups)), series))) or "all runs"
+    settings = description(group.settings, distinguishing(group, keys, groups))
+    return ", ".join(filter(None, (settings, series))) or "all runs"
 
 
 def _leaders(groups: Sequence[Group], keys: Sequence[str]) -> Iterator[str]:
@@ -107,13 +108,14 @@ def _leaders(groups: Sequence[Group], keys: Sequence[str]) -> Iterator[str]:
             first, *others = order
             what = key.replace("_", " ").removeprefix("best ")
             if others:
-                told = f"best {what}: {name_of(first, keys, groups)}: {_spread_told(first, key)}"
-                yield f"{told}; {_lead(key, order, [name_of(group, keys, groups) for group in others])}"
+                leader = f"best {what}: {name_of(first, keys, groups)}: {_median(first, key)}"
+                yield f"{leader}; {_lead(key, order, [name_of(group, keys, groups) for group in others])}"
             else:
-                yield f"{'' if what == 'hypervolume' else 'best '}{what}: {_spread_told(first, key)}"
+                yield f"{'' if what == 'hypervolume' else 'best '}{what}: {_median(first, key)}"
 
 
-def _spread_told(group: Group, key: str) -> str:
+def _median(group: Group, key: str) -> str:
+    """The median of a quantity, with its quartiles if there are several seeds."""
     median, lower, upper = group.spreads[key]
     if group.seeds == 1:
         return f"{median:.4g} (1 seed)"
@@ -124,9 +126,9 @@ def _lead(key: str, order: Sequence[Group], names: Sequence[str]) -> str:
     """How clear the lead of the first one in `key` is over the others, which have these names."""
     first, second = order[:2]
     medians = [group.spreads[key].median for group in order]
-    level = [name for name, median in zip(names, medians[1:], strict=True) if _ratio(medians[0], median) == 1]
-    if level:
-        return f"level with it: {'; '.join(level)}"
+    tied = [name for name, median in zip(names, medians[1:], strict=True) if _ratio(medians[0], median) == 1]
+    if tied:
+        return f"tied with it: {'; '.join(tied)}"
     ahead = f"next {names[0]} with {medians[1]:.4g}"
     others = {name for name, value in first.settings.items() if value != second.settings[name]}
     if key == "best_improvement_potential" and others == {"manipulation"} and first.series == second.series:
@@ -144,10 +146,10 @@ def _comparisons(groups: Sequence[Group], keys: Sequence[str]) -> Iterator[str]:
     whole = [group for group in groups if group.series == ALL]
     searched = [group for group in whole if not _is_random(group)] or whole
     for key in keys:
-        if key in ("scenario", "mesh") or (key == "support" and "kernel" in keys):  # that is told with the kernel
-            continue
+        if key in ("scenario", "mesh") or (key == "support" and "kernel" in keys):
+            continue  # part of the sentence about the kernel
         along = [other for other in keys if other != key and key in origins_of(other)]
-        # Random setups are a baseline of methods; of kernels and the like they say little.
+        # Random setups are a baseline for methods; they tell little about kernels and the like.
         yield from _compared(whole if key == "method" else searched, [key, *along], keys)
     parts = [group for group in rivals_of(groups) if group.series != ALL]
     if len({group.series for group in parts}) > 1:
@@ -165,10 +167,11 @@ def _compared(groups: Sequence[Group], mine: Sequence[str], keys: Sequence[str])
         others = (*(group.settings[key] for key in keys if key not in mine), group.series if mine else "")
         median = group.spreads["hypervolume"].median
         if math.isfinite(median):
-            told = telling(group, mine, groups)
-            names[value] = (
-                words(group.settings, told) if told[1:] else _shown(group.settings, mine[0]) if mine else group.series
-            )
+            shown = distinguishing(group, mine, groups)
+            if shown[1:]:
+                names[value] = description(group.settings, shown)
+            else:
+                names[value] = _shown(group.settings, mine[0]) if mine else group.series
             table.setdefault(value, {})[others] = median
             fronts |= {value} if group.setups > 1 else set()
             chance |= {value} if _is_random(group) else set()
@@ -179,10 +182,10 @@ def _compared(groups: Sequence[Group], mine: Sequence[str], keys: Sequence[str])
         winner = max(leading, key=lambda value: _merit(duels[value]))
         clauses = (_clause(duel, names[duel.other]) for duel in sorted(duels[winner], key=lambda duel: duel.factor))
         single = ", ".join(names[value] for value in table if fronts and value not in fronts)
-        note = f" ({single}: one setup a run, which has little hypervolume by itself)" if single else ""
+        note = f" ({single}: only one setup per run, which by itself has little hypervolume)" if single else ""
         yield f"{title}, by median hypervolume: {names[winner]} {'; '.join(clauses)}{note}{_edge(winner, mine, table)}"
     elif len(table) > 1 and not any(origin in keys for key in mine for origin in origins_of(key)):
-        yield f"{title}: no two groups differ in this alone, so what it does cannot be told from what others do"
+        yield f"{title}: no two groups differ in this alone, so its effect cannot be separated from that of others"
 
 
 def _edge(winner: Value, mine: Sequence[str], table: dict[Value, Any]) -> str:
@@ -225,7 +228,7 @@ def _duels(table: dict[Value, dict[tuple[Any, ...], float]], value: Value) -> li
 
 
 def _ratio(a: float, b: float) -> float:
-    """a / b of two medians, exactly 1 where they are level."""
+    """a / b of two medians, exactly 1 where they are tied."""
     if math.isclose(a, b, rel_tol=LEVEL, abs_tol=1e-300):
         return 1.0
     return a / b if b > 0 else math.inf
@@ -238,13 +241,13 @@ def _merit(duels: Sequence[_Duel]) -> tuple[float, float, float]:
 
 
 def _clause(duel: _Duel, other: str) -> str:
-    """How the best value fares against another one."""
+    """How the best value compares with another one."""
     won = duel.ahead if duel.verdict >= 0 else duel.behind
     count = "in the only pair" if duel.pairs == 1 else f"in {won} of {duel.pairs} pairs"
     ratio = duel.factor if duel.verdict >= 0 or duel.factor == 0 else 1 / duel.factor
     size = f"{ratio:.3g}" if ratio < 1000 else f"{ratio:,.0f}"
     factor = f"{'a' if duel.pairs == 1 else 'a median'} factor of {size}"
     if duel.verdict == 0:
-        return f"is not clearly ahead of {other} (ahead {count}, {factor})" if won else f"is level with {other}"
+        return f"is not clearly ahead of {other} (ahead {count}, {factor})" if won else f"is tied with {other}"
     verb = "beats" if duel.verdict > 0 else "loses to"
-    return f"{verb} {other} {count}, " + (f"by {factor}" if 0 < duel.factor < math.inf else "where one has none")
+    return f"{verb} {other} {count}, " + (f"by {factor}" if 0 < duel.factor < math.inf else "where one value is 0")

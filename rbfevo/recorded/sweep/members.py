@@ -20,8 +20,8 @@ from rbfevo.choices import WITHOUT_EFFECT
 from rbfevo.errors import UserError
 from rbfevo.recorded.record import Record, read
 
-# How and where a run was carried out, which does not matter to what it finds.
-MATTERLESS = (*WITHOUT_EFFECT, "checkpoint.every", "evaluator", "experiment", "manipulation.name")
+# How and where a run was carried out: settings on which its results do not depend.
+IRRELEVANT = (*WITHOUT_EFFECT, "checkpoint.every", "evaluator", "experiment", "manipulation.name")
 DIGITS = 2.0**-24  # of the largest number: smaller differences of two meshes are rounding
 
 
@@ -43,7 +43,7 @@ def find(directory: Path) -> list[Path]:
 
 
 def _walk(directory: Path, seen: set[Path]) -> Iterator[tuple[Path, str | None]]:
-    """Run directories, and those that look like one, with the reason why they are none."""
+    """Run directories (None), and those that look like one, with the reason why they cannot be used."""
     place = directory.resolve()
     if place in seen or (seen and directory.is_symlink() and directory.parent.resolve().is_relative_to(place)):
         return
@@ -52,14 +52,14 @@ def _walk(directory: Path, seen: set[Path]) -> Iterator[tuple[Path, str | None]]
         inside = {path.name: path.is_dir() for path in directory.iterdir()}
         configured = (directory / ".hydra" / "config.yaml").is_file()
     except OSError as error:
-        yield directory, f"cannot be looked into: {error.strerror or error}"
+        yield directory, f"cannot be read: {error.strerror or error}"
         return
     held = [name in inside for name in ("setups.npz", "summary.json")]
     if all(held):
         yield directory, None
         return
     if any(held) or configured:
-        yield directory, "left no results, or not all of them: failed, or still running"
+        yield directory, "has no results, or not all of them: it failed, or is still running"
     for name in sorted(inside, key=natural):
         if inside[name] and not name.startswith("."):
             yield from _walk(directory / name, seen)
@@ -71,7 +71,7 @@ def natural(text: str) -> tuple[list[str | int], str]:
 
 
 def members(directory: Path) -> tuple[list[Member], list[str]]:
-    """All runs at or below `directory` that can be read, and a line for each that cannot, saying why.
+    """All runs at or below `directory` that can be read, and for each that cannot a line with the reason.
 
     Arrays of the mesh are shared by runs on the same one.
 
@@ -97,16 +97,16 @@ def members(directory: Path) -> tuple[list[Member], list[str]]:
         mesh = meshes.setdefault(settings["mesh"], {key: getattr(record, key) for key in names})
         found.append(Member(name, dataclasses.replace(record, **mesh), settings))
     if not found:
-        why = f"no run can be read: {unread[0]}" if unread else "no run was found here or below"
+        why = f"no run can be read: {unread[0]}" if unread else "there is no run here or below"
         raise UserError(f"{directory}: {why}")
     return found, unread
 
 
 def _settings(record: Record, run: Path) -> dict[str, Any]:
-    """The settings of one run: from summary.json, and all else from .hydra/config.yaml where there is one."""
-    say = record.summary.get
-    settings = {key: say(key) for key in ("scenario", "kernel", "support", "manipulation", "method")}
-    settings |= {"centers": int(record.centers.shape[1]), "seed": say("seed"), "mesh": mesh_of(record)}
+    """The settings of one run: from summary.json, and all others from .hydra/config.yaml if it exists."""
+    entry = record.summary.get
+    settings = {key: entry(key) for key in ("scenario", "kernel", "support", "manipulation", "method")}
+    settings |= {"centers": int(record.centers.shape[1]), "seed": entry("seed"), "mesh": mesh_of(record)}
     path = run / ".hydra" / "config.yaml"
     if path.is_file():
         try:
@@ -114,23 +114,23 @@ def _settings(record: Record, run: Path) -> dict[str, Any]:
         except (OSError, ValueError, YAMLError, OmegaConfBaseException) as error:
             raise UserError(f"{path} cannot be read: damaged? ({' '.join(str(error).split())})") from None
         leaves = dict(_leaves(config)) if isinstance(config, dict) else {}
-        settings |= {key: leaf for key, leaf in leaves.items() if key not in settings and key not in MATTERLESS}
+        settings |= {key: leaf for key, leaf in leaves.items() if key not in settings and key not in IRRELEVANT}
     return settings
 
 
 def _leaves(node: dict[Any, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """The leaves of a configuration by dotted key; lists and truth values as the command line has them."""
+    """The leaves of a configuration by dotted key; lists and truth values as they are typed."""
     for key, value in node.items():
         if isinstance(value, dict):
             yield from _leaves(value, f"{prefix}{key}.")
         elif key != "_target_":
-            yield f"{prefix}{key}", word(value) if isinstance(value, list | bool) else value
+            yield f"{prefix}{key}", typed(value) if isinstance(value, list | bool) else value
 
 
-def word(value: Any) -> str:
-    """A value as the command line has it."""
+def typed(value: Any) -> str:
+    """A value as it is typed on the command line."""
     if isinstance(value, list):
-        return f"[{','.join(map(word, value))}]"
+        return f"[{','.join(map(typed, value))}]"
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
         return str(int(value))  # 1.0 is no other setting than 1
     return "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)

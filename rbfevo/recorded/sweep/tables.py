@@ -21,8 +21,8 @@ from rbfevo.recorded.sweep.members import Member
 # What a run is about, in this order; `mesh` is the fingerprint of `mesh_of`, `support` the radius in model units.
 FIRST = ("scenario", "mesh", "kernel", "support", "manipulation", "method", "centers", "preference")
 ALWAYS = (*FIRST[:4], "kernel.support", *FIRST[4:7])  # columns of every table; the radius as it was given, too
-# What the fingerprint of mesh and gradient tells, whatever the files are called.
-TOLD_BY_MESH = tuple(
+# Settings that show in the fingerprint of mesh and gradient, whatever the files are called.
+SEEN_IN_MESH = tuple(
     f"scenario.{key}"
     for key in (
         *("template", "patches", "target", "sensitivity", "sensitivity_kind", "sensitivity_match", "objective"),
@@ -30,7 +30,7 @@ TOLD_BY_MESH = tuple(
         *("resolution", "subdivisions", "scan", "up", "front"),
     )
 )
-TOLD_BY_SUPPORT = ("kernel.support", "scenario.support")
+SEEN_IN_SUPPORT = ("kernel.support", "scenario.support")
 QUANTITIES = (
     *("hypervolume", "best_regularity", "best_improvement_potential", "knee_regularity", "knee_improvement_potential"),
     *("evaluations", "seconds"),
@@ -98,9 +98,9 @@ def varying(members: Sequence[Member]) -> list[str]:
 
     A default that comes with the mesh, the kernel or the method follows from it (the support radius from the mesh and
     the kernel, `method.generations` and the preferences from the method). Settings that merely happen to go together
-    are listed both: which of them matters is not known then.
+    are both listed, since it is not known which of them matters.
     """
-    left_out = ("seed", *TOLD_BY_MESH, *TOLD_BY_SUPPORT)
+    left_out = ("seed", *SEEN_IN_MESH, *SEEN_IN_SUPPORT)
     keys = dict.fromkeys([*FIRST, *(key for member in members for key in member.settings)])
     listed: list[str] = []
     for key in keys:
@@ -117,7 +117,7 @@ def varying(members: Sequence[Member]) -> list[str]:
 
 
 def origins_of(key: str) -> tuple[str, ...]:
-    """The settings that bring `key` along."""
+    """The settings that a default of `key` follows from."""
     special = {"support": ("mesh", "kernel"), "preference": ("method",)}
     group = key.split(".")[0]
     return special.get(key, () if group == key else ("mesh",) if group == "scenario" else (group,))
@@ -134,7 +134,7 @@ def _columns(members: Sequence[Member]) -> list[str]:
 
 
 def _lines(member: Member, keys: Iterable[str]) -> Iterator[Line]:
-    record, say = member.record, member.record.summary.get
+    record, entry = member.record, member.record.summary.get
     usable = record.usable
     for series in (ALL, *dict.fromkeys(record.method.tolist())):
         rows = usable if series == ALL else usable[record.method[usable] == series]
@@ -152,10 +152,10 @@ def _lines(member: Member, keys: Iterable[str]) -> Iterator[Line]:
             best_improvement_potential=float(P.max()) if len(rows) else math.nan,
             knee_regularity=math.nan if found is None else float(R[found]),
             knee_improvement_potential=math.nan if found is None else float(P[found]),
-            evaluations=_number(say("evaluations")),
-            failed_evaluations=_number(say("failed_evaluations")),
-            seconds=_number(say("seconds")),
-            stop_reason=str(say("stop_reason", "")),
+            evaluations=_number(entry("evaluations")),
+            failed_evaluations=_number(entry("failed_evaluations")),
+            seconds=_number(entry("seconds")),
+            stop_reason=str(entry("stop_reason", "")),
         )
 
 
@@ -243,17 +243,19 @@ def table_of_medians(groups: Sequence[Group]) -> bytes:
     return csv_text(names, rows)
 
 
-def doubts(members: Sequence[Member]) -> list[str]:
-    """What makes a comparison less sure, a line each: runs that are there twice, runs that were stopped."""
+def warnings(members: Sequence[Member]) -> list[str]:
+    """What makes a comparison less certain, a line each: equal runs, and runs that were stopped."""
     keys = ["seed", "mesh", *varying(members)]
     same: dict[tuple[Any, ...], list[str]] = {}
     for member in members:
         same.setdefault(tuple(member.settings.get(key) for key in keys), []).append(member.name)
-    told = [
-        f"{', '.join(names)}: the same settings and seed; each of them counts" for names in same.values() if names[1:]
+    found = [
+        f"{', '.join(names)}: these runs have the same settings and seed; each of them counts"
+        for names in same.values()
+        if names[1:]
     ]
     for member in members:
         reason = str(member.record.summary.get("stop_reason", "budget"))
         if reason.startswith("interrupted") or reason == "error":
-            told.append(f"{member.name}: stopped early ({reason}); it counts like the others")
-    return told
+            found.append(f"{member.name}: this run was stopped early ({reason}); it counts like the others")
+    return found

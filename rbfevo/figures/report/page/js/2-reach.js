@@ -39,22 +39,22 @@ function columnOf(center, mesh, run, roots, across) {
 
 const dot = (a, b) => { let sum = 0; for (let i = 0; i < a.length; i++) sum += a[i] * b[i]; return sum; };
 
-/** Take from every one of `rest` what the `columns` reach of it; columns that depend on others count once. */
-function project(columns, rest) {
+/** Subtract from each residual its projection on the `columns`; columns that depend on others count once. */
+function project(columns, residuals) {
   const norms = columns.map((column) => Math.sqrt(dot(column, column)));
   const cut = Math.max(columns.length ? columns[0].length : 0, columns.length) * Number.EPSILON * Math.max(0, ...norms);
   columns.forEach((column, j) => {
     const norm = Math.sqrt(dot(column, column));
     if (!(norm > cut)) return;
     for (let i = 0; i < column.length; i++) column[i] /= norm;
-    for (const other of [...columns.slice(j + 1), ...rest]) {
+    for (const other of [...columns.slice(j + 1), ...residuals]) {
       const share = dot(column, other);
       for (let i = 0; i < column.length; i++) other[i] -= share * column[i];
     }
   });
 }
 
-/** What a setup leaves of the gradient: its rows [n * k], their norms [n], and P on the vertices shown. */
+/** The residual of a setup: its rows [n * k], their norms [n], and P on the vertices shown. */
 function leftBy(setup, mesh) {
   const { n, k, d } = mesh, run = setup.run, centers = centersOf(setup, d), left = new Float64Array(n * k);
   const groups = [[[...Array(k).keys()], false]];
@@ -62,12 +62,12 @@ function leftBy(setup, mesh) {
   let remaining = 0, whole = 0;
   for (const [components, across] of groups) {
     const columns = centers.map((center) => columnOf(center, mesh, run, mesh.roots, across)).filter((column) => column);
-    const rest = components.map((c) => Float64Array.from({ length: n }, (_, i) => mesh.gradient[i * k + c] * (mesh.roots ? mesh.roots[i] : 1)));
-    whole += rest.reduce((sum, component) => sum + dot(component, component), 0);
-    project(columns, rest);
-    remaining += rest.reduce((sum, component) => sum + dot(component, component), 0);
+    const residuals = components.map((c) => Float64Array.from({ length: n }, (_, i) => mesh.gradient[i * k + c] * (mesh.roots ? mesh.roots[i] : 1)));
+    whole += residuals.reduce((sum, component) => sum + dot(component, component), 0);
+    project(columns, residuals);
+    remaining += residuals.reduce((sum, component) => sum + dot(component, component), 0);
     components.forEach((c, which) => {
-      for (let i = 0; i < n; i++) left[i * k + c] = mesh.roots ? rest[which][i] / (mesh.roots[i] || 1) : rest[which][i];
+      for (let i = 0; i < n; i++) left[i * k + c] = mesh.roots ? residuals[which][i] / (mesh.roots[i] || 1) : residuals[which][i];
     });
   }
   return { left, norms: rowNorms(left, n, k), potential: whole > 0 ? 1 - remaining / whole : 0 };
@@ -101,7 +101,7 @@ function unpackMesh(mesh) {
   return mesh;
 }
 
-/** What a setup leaves, from the numbers that the page was given; null where it was not given them. */
+/** The residual of a setup from the numbers in the page; null if the page does not hold them. */
 function embedded(setup, mesh) {
   const { n, k } = mesh, given = setup.run.embedded;
   if (!given) return null;
@@ -118,12 +118,12 @@ function embedded(setup, mesh) {
   return { left, norms: rowNorms(left, n, k), potential: whole > 0 ? 1 - remaining / whole : 0 };
 }
 
-/** Whether the page knows what a setup leaves. */
-const tells = (setup) => setup.run.known || (setup.run.embedded !== null && setup.run.embedded.rows.includes(setup.place));
+/** Whether the page knows the residual of a setup. */
+const hasResidual = (setup) => setup.run.known || (setup.run.embedded !== null && setup.run.embedded.rows.includes(setup.place));
 
-/** `leftBy`, remembered for the setups that were looked at last. */
+/** `leftBy`, cached for the last setups. */
 function leftOf(setup, mesh) {
-  if (!tells(setup)) return null;
+  if (!hasResidual(setup)) return null;
   let found = mesh.known.get(setup.index);
   if (!found) found = setup.run.known ? leftBy(setup, mesh) : embedded(setup, mesh);
   mesh.known.delete(setup.index);

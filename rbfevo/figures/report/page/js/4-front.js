@@ -10,7 +10,7 @@ function theme() {
 const QUALITATIVE = ["#0b4fa8", "#f28e00", "#57b55a", "#d3148f", "#7a5cc4", "#008c95", "#a3591f", "#6b6b6b"];
 const QUALITATIVE_ON_DARK = ["#6aa5f5", "#ffa733", "#6fcf72", "#ff66bd", "#b39df0", "#3fc6cf", "#d99a63", "#a8a8a8"];
 
-/** Settings that every plot of the page shares: no button of the library's but those named, and nothing sent anywhere. */
+/** Settings that every plot of the page shares: no buttons of the library, and no data sent anywhere. */
 const CONFIG = { responsive: false, displaylogo: false, displayModeBar: false, plotlyServerURL: "", showSendToCloud: false, showLink: false };
 
 const touched = () => matchMedia("(pointer: coarse)").matches;
@@ -79,7 +79,7 @@ function groupsOf(state) {
   return found.sort((a, b) => a.order - b.order);
 }
 
-/** What a run says about a setting, as text. */
+/** A setting of a run, as text. */
 function settingOf(run, name) {
   const value = run.settings[name];
   return value === null || value === undefined ? "–" : typeof value === "number" ? short(value) : String(value);

@@ -78,15 +78,15 @@ function valuesOf(state, setup, mesh) {
   return found && found.norms;
 }
 
-/** The largest value that the colours tell apart: of all that is wanted, or of nearly all that telling setups leave. */
+/** The value at which the colours end: the largest wanted displacement, or nearly the largest residual of three setups. */
 function highest(state) {
   const mesh = state.mesh;
   if (state.color === "wanted") return mesh.most || 1;
-  const telling = [state.knee, bestOf(state.visible, "R", "P"), bestOf(state.visible, "P", "R")].filter((setup) => setup && tells(setup));
-  const key = `${state.filterKey} ${telling.map((setup) => setup.index)}`;
+  const samples = [state.knee, bestOf(state.visible, "R", "P"), bestOf(state.visible, "P", "R")].filter((setup) => setup && hasResidual(setup));
+  const key = `${state.filterKey} ${samples.map((setup) => setup.index)}`;
   if (mesh.highestKey !== key) {
     mesh.highestKey = key;
-    mesh.highest = Math.max(0, ...telling.map((setup) => { const norms = leftOf(setup, mesh).norms.slice().sort(); return norms[Math.floor(0.995 * (norms.length - 1))]; })) || mesh.most || 1;
+    mesh.highest = Math.max(0, ...samples.map((setup) => { const norms = leftOf(setup, mesh).norms.slice().sort(); return norms[Math.floor(0.995 * (norms.length - 1))]; })) || mesh.most || 1;
   }
   return mesh.highest;
 }
@@ -150,13 +150,13 @@ const unit = (a) => a.map((part) => part / Math.hypot(...a));
 
 /** The other view turns and zooms along. */
 function followCamera(state, which, change) {
-  const told = Object.fromEntries(["scene.camera", "scene.aspectratio"].filter((key) => change[key]).map((key) => [key, change[key]]));
-  if (!Object.keys(told).length || state.following) return;
-  state.camera = told["scene.camera"] || state.camera;
-  state.sides = told["scene.aspectratio"] || state.sides;
+  const moves = Object.fromEntries(["scene.camera", "scene.aspectratio"].filter((key) => change[key]).map((key) => [key, change[key]]));
+  if (!Object.keys(moves).length || state.following) return;
+  state.camera = moves["scene.camera"] || state.camera;
+  state.sides = moves["scene.aspectratio"] || state.sides;
   if (!state.kept) return;
   state.following = true;
-  Promise.resolve(Plotly.relayout(byId(which === "a" ? "space-b" : "space-a"), told)).finally(() => { state.following = false; });
+  Promise.resolve(Plotly.relayout(byId(which === "a" ? "space-b" : "space-a"), moves)).finally(() => { state.following = false; });
 }
 
 /** Turn the views back to where they began. */
@@ -176,20 +176,20 @@ function ticksOf([low, high], middle) {
   return { tickmode: "array", tickvals: kept.map((value) => value - middle), ticktext: kept.map((value) => short(value)) };
 }
 
-/** The scale of the colours, and what there is to say about the view. */
+/** The scale of the colours, and notes on the view. */
 function drawScale(state) {
   const mesh = state.mesh, factor = mesh.scale || 1;
   byId("scale-low").textContent = "0";
   byId("scale-high").textContent = `${state.color === "left" ? "≥ " : ""}${short(factor * highest(state), 3)}`;
   byId("scale-unit").textContent = mesh.scale ? "model units" : mesh.direction ? "of the sensitivity (unit norm)" : "of the displacement (unit norm)";
   byId("scale-bar").style.background = `linear-gradient(to right, ${state.content.colors.map(([at, color]) => `${color} ${100 * at}%`).join(", ")})`;
-  const said = state.flaw ? [state.flaw] : [];
-  if (mesh.n < mesh.of) said.push(`Shown and computed here on ${mesh.n.toLocaleString("en")} of ${mesh.of.toLocaleString("en")} vertices; R and P are those of all.`);
-  if (state.shape !== "template") said.push("Centers stay where they are at first.");
-  if (state.shape !== "template" && mesh.remark) said.push(`Shape: ${mesh.remark}.`);
-  if (state.color === "left" && state.chosen && !tells(state.chosen)) said.push("What this setup leaves is not known to this page.");
-  if (state.seeThrough === false && mesh.d === 3) said.push("Centers inside or behind the surface: see through it, or turn it.");
-  byId("view-hint").textContent = said.join(" ");
+  const notes = state.flaw ? [state.flaw] : [];
+  if (mesh.n < mesh.of) notes.push(`This page shows and computes with ${mesh.n.toLocaleString("en")} of ${mesh.of.toLocaleString("en")} vertices; R and P are those of all.`);
+  if (state.shape !== "template") notes.push("Centers are shown at their first places.");
+  if (state.shape !== "template" && mesh.remark) notes.push(`Shape: ${mesh.remark}.`);
+  if (state.color === "left" && state.chosen && !hasResidual(state.chosen)) notes.push("This page does not hold the residual of this setup.");
+  if (state.seeThrough === false && mesh.d === 3) notes.push("To see centers inside or behind the surface, see through it or turn it.");
+  byId("view-hint").textContent = notes.join(" ");
 }
 
 /** The centers of a setup as rbfevo.export writes them. */
@@ -223,7 +223,7 @@ async function pictureOf(state) {
     pen.drawImage(image, left, head, side, side);
   });
   pen.fillStyle = colors.grey;
-  const what = state.color === "wanted" ? "wanted displacement" : "what the setup cannot reach";
+  const what = state.color === "wanted" ? "wanted displacement" : "residual, what the setup cannot reach";
   const start = 2 * gap + side, fade = pen.createLinearGradient(start + 12, 0, start + 172, 0), low = head + side + 22;
   for (const [at, color] of state.content.colors) fade.addColorStop(at, color);
   pen.fillText("0", start, low);

@@ -44,8 +44,8 @@ function drawTable(state) {
   for (const setup of members.slice(0, state.shownRows)) {
     const row = el("tr", { "data-index": setup.index });
     for (const { key, text, of, show } of columns) {
-      const value = of(setup, state), said = show ? show(value) : typeof value === "number" && key !== "row" ? short(value) : value === null ? "" : String(value);
-      row.append(el("td", { class: text ? "text" : null }, key === "row" ? el("button", { type: "button", "aria-label": `choose row ${said}${state.several ? ` of ${setup.run.name}` : ""}` }, said) : said));
+      const value = of(setup, state), content = show ? show(value) : typeof value === "number" && key !== "row" ? short(value) : value === null ? "" : String(value);
+      row.append(el("td", { class: text ? "text" : null }, key === "row" ? el("button", { type: "button", "aria-label": `choose row ${content}${state.several ? ` of ${setup.run.name}` : ""}` }, content) : content));
     }
     body.append(row);
   }

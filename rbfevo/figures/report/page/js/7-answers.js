@@ -13,13 +13,13 @@ function drawAnswers(state) {
   const { sweep } = state.content;
   if (!sweep) return;
   byId("answers").hidden = false;
-  byId("sentences").replaceChildren(...sweep.sentences.map(answer), ...sweep.doubts.map((doubt) => el("li", { class: "hint" }, `Note: ${doubt}`)));
+  byId("sentences").replaceChildren(...sweep.sentences.map(answer), ...sweep.warnings.map((warning) => el("li", { class: "hint" }, `Warning: ${warning}`)));
   byId("measure").replaceChildren(...MEASURES.map(({ key, title }) => el("option", { value: key }, title)));
   byId("measure").addEventListener("change", () => drawSpread(state));
   state.groupSort = { key: "hypervolume", down: true };
 }
 
-/** A sentence, what it answers before how sure that is. */
+/** A sentence: its first clause, and how certain it is. */
 function answer(sentence) {
   const [first, ...more] = sentence.split("; ");
   return el("li", {}, el("b", {}, first), more.length ? el("span", { class: "hint" }, `; ${more.join("; ")}`) : null);
@@ -28,7 +28,7 @@ function answer(sentence) {
 /** The groups on the mesh that is shown. */
 const groupsShown = (state) => state.content.sweep.groups.filter((group) => group.mesh === state.meshIndex);
 
-/** A label in lines of about so many letters. */
+/** A label in lines of at most about `most` letters. */
 function wrapped(name, most) {
   const lines = [""];
   for (const part of name.split(", ")) {
@@ -67,7 +67,7 @@ function drawGroups(state) {
     el("tr", {}, el("td", { class: "text" }, group.label), el("td", {}, String(group.seeds)), ...MEASURES.map(({ key }) => el("td", {}, cell(group[key])))))));
 }
 
-/** Selects for the mesh, for every setting that differs, and for what the colours of the front stand for. */
+/** Selects for the mesh, for every setting that differs, and for the setting that the colours of the front show. */
 function drawFilters(state) {
   const { sweep, meshes } = state.content;
   if (!sweep) return;

@@ -22,11 +22,11 @@ function start() {
   state.choose = (setup, by) => {
     if (!setup) return;
     state.chosen = setup;
-    if (by === "slider") sayPreference(Number(byId("preference").value));
+    if (by === "slider") showPreference(Number(byId("preference").value));
     else placeSlider();
     if (by !== "start") moveRings(state);
     drawViews();
-    drawWords();
+    drawTexts();
     markRows(state, by !== "table");
     remember();
     if (by !== "start") byId("announce").textContent = `${origin(setup, state.several)}: ${scores(setup)}`;
@@ -62,7 +62,7 @@ function start() {
     byId("view-b").hidden = !both;
     byId("swap").hidden = !both;
     byId("keep").setAttribute("aria-pressed", String(both));
-    byId("keep").firstChild.textContent = both ? "Drop the kept one " : "Keep to compare ";
+    byId("keep").firstChild.textContent = both ? "Drop the kept setup " : "Keep to compare ";
     byId("caption-a").textContent = `${both ? "Chosen: " : ""}${origin(state.chosen, state.several)}: ${scores(state.chosen)}`;
     byId("caption-b").textContent = both ? `Kept: ${origin(state.kept, state.several)}: ${scores(state.kept)}` : "";
     drawScale(state);
@@ -79,16 +79,16 @@ function start() {
     waiting = act;
   }
 
-  function drawWords() {
+  function drawTexts() {
     const cards = [card(state.chosen, state.mesh, state.kept ? "The chosen setup" : "This setup", state.several)];
     if (state.kept) {
       cards.push(card(state.kept, state.mesh, "The kept setup", state.several));
       cards[1].style.borderColor = "var(--accent)";
     }
     byId("cards").replaceChildren(...cards);
-    byId("next").replaceChildren(...(state.kept ? [el("p", {}, comparison(state.chosen, state.kept))] : []), nextWords(state.chosen, state.mesh));
-    if (drawWords.run !== state.chosen.run) byId("made-words").replaceChildren(madeWords(state.chosen.run));
-    drawWords.run = state.chosen.run;
+    byId("next").replaceChildren(...(state.kept ? [el("p", {}, comparison(state.chosen, state.kept))] : []), nextSteps(state.chosen, state.mesh));
+    if (drawTexts.run !== state.chosen.run) byId("made-details").replaceChildren(madeDetails(state.chosen.run));
+    drawTexts.run = state.chosen.run;
   }
 
   /** Put the slider where it would choose this setup, if there is such a place. */
@@ -97,22 +97,22 @@ function start() {
     const along = at < 0 ? null : state.front.length > 1 ? at / (state.front.length - 1) : 0.5;
     const place = byId("weighted").checked ? range && (range[0] + range[1]) / 2 : along;
     if (place !== null) byId("preference").value = place;
-    sayPreference(place);
+    showPreference(place);
   }
 
-  function sayPreference(place) {
+  function showPreference(place) {
     byId("preference-value").textContent = place === null ? "none" : place.toFixed(2);
-    byId("preference-value").title = place === null ? "no place of the slider leads to this setup" : "";
+    byId("preference-value").title = place === null ? "no position of the slider selects this setup" : "";
     byId("preference").setAttribute("aria-valuetext", `${place === null ? "none" : place.toFixed(2)}: ${origin(state.chosen, state.several)}, ${scores(state.chosen)}`);
     const range = preferencesOf(state.chosen, state.visible);
-    const formula = range ? `best for preferences ${range[0].toFixed(3)} to ${range[1].toFixed(3)} of the command line` : "best for no preference of the command line (it lies in a dent of the front, or is dominated)";
-    byId("preference-hint").textContent = `This setup is ${formula}. ${byId("weighted").checked ? "The slider weighs both scores as they are, and skips dents." : "The slider walks along the front, one nondominated setup after the other."}`;
+    const formula = range ? `best for preferences ${range[0].toFixed(3)} to ${range[1].toFixed(3)} of the command line` : "best for no preference of the command line (it lies in a concave part of the front, or is dominated)";
+    byId("preference-hint").textContent = `This setup is ${formula}. ${byId("weighted").checked ? "The slider weighs both scores and skips concave parts of the front." : "The slider moves along the front, one nondominated setup at a time."}`;
   }
 
   function slide() {
     const place = Number(byId("preference").value);
     const found = byId("weighted").checked ? preferred(state.visible, place) : alongFront(state.front, place);
-    sayPreference(place);
+    showPreference(place);
     if (found !== state.chosen) state.choose(found, "slider");
   }
 
@@ -134,13 +134,13 @@ function start() {
     changedPair("swapped");
   }
 
-  function changedPair(said) {
+  function changedPair(change) {
     moveRings(state);
     drawViews();
-    drawWords();
+    drawTexts();
     markRows(state, false);
     remember();
-    byId("announce").textContent = said;
+    byId("announce").textContent = change;
   }
 
   function setRadio(name, value) {
@@ -160,27 +160,27 @@ function start() {
     try {
       save(await pictureOf(state), fileName(".png"));
     } catch (error) {
-      byId("announce").textContent = `The picture could not be made: ${error.message || error}`;
+      byId("announce").textContent = `The picture could not be saved: ${error.message || error}`;
     }
   }
 
   /** The choice in the address, so that a link or a reload finds it again. */
   function remember() {
     const name = (setup) => `${state.several ? `${encodeURIComponent(setup.run.name)}:` : ""}${setup.row}`;
-    const words = `#setup=${name(state.chosen)}${state.kept ? `&kept=${name(state.kept)}` : ""}`;
-    try { history.replaceState(null, "", words); } catch { /* some browsers refuse it for files */ }
+    const address = `#setup=${name(state.chosen)}${state.kept ? `&kept=${name(state.kept)}` : ""}`;
+    try { history.replaceState(null, "", address); } catch { /* some browsers refuse it for files */ }
   }
 
   function remembered() {
-    const words = new URLSearchParams(location.hash.slice(1));
-    const find = (word) => {
-      if (word === null) return null;
-      const [row, ...name] = word.split(":").reverse();
+    const choice = new URLSearchParams(location.hash.slice(1));
+    const find = (label) => {
+      if (label === null) return null;
+      const [row, ...name] = label.split(":").reverse();
       const run = name.reverse().join(":");
       return setups.find((setup) => String(setup.row) === row && (!state.several || setup.run.name === run)) || null;
     };
-    state.chosen = find(words.get("setup"));
-    state.kept = find(words.get("kept"));
+    state.chosen = find(choice.get("setup"));
+    state.kept = find(choice.get("kept"));
   }
 
   const keys = {
@@ -220,7 +220,7 @@ function start() {
   addEventListener("hashchange", () => { remembered(); state.showMesh(state.chosen ? state.chosen.run.mesh : state.meshIndex); });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawFront(state); drawViews(); if (content.sweep) drawSpread(state); });
 
-  if (!document.createElement("canvas").getContext("webgl")) state.flaw = "This browser has no WebGL, or it is switched off: the views stay empty; the front, the table and the CSV work. ";
+  if (!document.createElement("canvas").getContext("webgl")) state.flaw = "This browser has no WebGL, or it is switched off: the 3-D views stay empty, but the front, the table and the CSV work. ";
   const fitting = new ResizeObserver((changes) => changes.forEach(({ target }) => { if (target.data && target.clientWidth) Plotly.Plots.resize(target); }));
   for (const id of ["front", "space-a", "space-b", "spread"]) fitting.observe(byId(id));
 
@@ -244,6 +244,6 @@ try {
   start();
 } catch (error) {
   byId("problem").hidden = false;
-  byId("problem").textContent = `This page could not be drawn (${error.message}). A newer browser may help; the pictures front.png and centers.png beside it show the run as well.`;
+  byId("problem").textContent = `This page could not be drawn (${error.message}). Try a newer browser, or see front.png and centers.png in the same directory.`;
   throw error;
 }

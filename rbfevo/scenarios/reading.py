@@ -1,4 +1,4 @@
-"""Read a user's surface or point cloud from a file; whatever is wrong with it is reported in one line."""
+"""Read a user's surface or point cloud from a file, and refuse unusable ones in one line."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from rbfevo.names import existing_home
 def read_surface(path: str | Path) -> tuple[Points, Triangles | None]:
     """Read vertices [n, 3] float64 and triangles [f, 3] int64, or None for a bare cloud, in the file's own units.
 
-    The ending says the format, one of `rbfevo.meshes.ENDINGS`. Polygons are cut into triangles; of a mesh that fills a
-    volume the boundary is taken. Vertices keep the file's order; STL repeats a vertex for each of its triangles.
+    The ending determines the format, one of `rbfevo.meshes.ENDINGS`. Polygons are cut into triangles; of a mesh that
+    fills a volume the boundary is taken. Vertices keep the file's order; STL repeats a vertex for each triangle.
 
     Raises:
         UserError: if the file is missing, unreadable, of an unknown ending, or holds no usable surface or cloud.
@@ -38,7 +38,7 @@ def read_surface(path: str | Path) -> tuple[Points, Triangles | None]:
 
 
 def surface(path: Path, mesh: Mesh, patches: Sequence[str] | None = None) -> Surface:
-    """The surface of a mesh, as `surface_of` takes it, with the file named in whatever is wrong.
+    """The surface of a mesh, as `surface_of` takes it; error messages name the file.
 
     Raises:
         UserError: if there is none, or not all of it can be taken.
@@ -53,12 +53,12 @@ def refuse_points(path: Path, points: Points) -> None:
     """Raise UserError if points [n, 3] are only one, not finite, too large or all in one place."""
     refuse_bad_points(path, points)
     if len(points) == 1:
-        raise UserError(f"{path}: there is only one point; a surface or cloud needs more")
+        raise UserError(f"{path}: it has only one point; a surface or cloud needs more")
     checked_extent(path, points)
 
 
 def checked_extent(path: Path | str, vertices: Points) -> float:
-    """Return the longest side of the box of finite vertices [n, 3]; UserError if it is beyond what can be squared."""
+    """Return the longest side of the box of finite vertices [n, 3]; UserError if its square would overflow."""
     refuse_huge(path, vertices)
     extent = float(np.ptp(vertices, axis=0).max())
     if extent < 1e-100:

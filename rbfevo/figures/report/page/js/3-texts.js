@@ -1,4 +1,4 @@
-// Plain words: what the scores of a setup mean, how its run was made, how to go on.
+// Texts: the meaning of the scores of a setup, how its run was made, and the commands to continue.
 
 /** An element with attributes, and children that are elements or text. */
 function el(name, attributes = {}, ...children) {
@@ -13,7 +13,7 @@ function el(name, attributes = {}, ...children) {
 
 const byId = (id) => document.getElementById(id);
 
-/** A number with so many significant digits, as people write it. */
+/** A number with the given significant digits. */
 function short(value, digits = 4) {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   if (value === 0) return "0";
@@ -34,33 +34,33 @@ function origin(setup, several) {
 const scores = (setup) => `R = ${short(setup.R)}, P = ${short(setup.P)}`;
 
 /** What R means: the ratio of the strongest to the weakest direction of the parameters. */
-function regularityWords(setup) {
-  if (!(setup.R > 0)) return "R = 0: some combination of the parameters does not change the design, or (direct manipulation) the control points cannot be moved one by one: a center without a vertex in reach, or two in one place. Take another setup.";
+function regularityText(setup) {
+  if (!(setup.R > 0)) return "R = 0: some combination of the parameters does not change the design, or (direct manipulation) the control points cannot be moved one by one. A center may have no vertex within reach, or two may coincide. Choose another setup.";
   const parameters = setup.run.manipulation === "direct" ? "displacements of the control points" : "RBF weights";
   return `The same step in the parameters (${parameters}) changes the design up to ${short(1 / setup.R, 3)} times as much in one direction as in another. ` +
-    "The nearer to 1, the fewer steps an evolution strategy or a gradient descent needs with one step size for all. If your optimizer works on an orthonormal basis of the same deformations, R no longer matters.";
+    "The nearer to 1, the fewer steps an evolution strategy or a gradient descent needs with one step size for all. If your optimizer works on an orthonormal basis of the same deformations, R does not matter.";
 }
 
 /** What P means: the share of the wanted displacement that is within reach. */
-function potentialWords(setup, mesh) {
+function potentialText(setup, mesh) {
   const left = percent(Math.sqrt(Math.max(0, 1 - setup.P)));
-  if (mesh.direction) return `To first order, the best step within reach improves the objective by ${percent(Math.sqrt(Math.max(0, setup.P)))} of what a step of the same size could do that moves every vertex freely; ${left} of the sensitivity (root mean square) is out of reach, whatever optimizer you use.`;
-  return `${percent(setup.P)} of the wanted displacement (its squares, summed over the design) is within reach of these control points; ${left} of it (root mean square) is left, whatever optimizer you use.`;
+  if (mesh.direction) return `To first order, the best step within reach improves the objective by ${percent(Math.sqrt(Math.max(0, setup.P)))} of the improvement by a step of the same size with all vertices free; ${left} of the sensitivity (root mean square) is out of reach of any optimizer.`;
+  return `${percent(setup.P)} of the wanted displacement (its squares, summed over the design) is within reach of these control points; the residual is ${left} of it (root mean square), with any optimizer.`;
 }
 
 /** What V means: independent ways to deform the design. */
-function variabilityWords(setup) {
+function variabilityText(setup) {
   if (Number.isNaN(setup.V)) return null;
   const rank = Math.round(setup.V * setup.run.n), sides = setup.run.mirror ? " (both sides of the symmetry plane together)" : "";
-  return `${rank} independent ways to deform ${setup.run.n.toLocaleString("en")} vertices${sides}` + (rank < setup.run.m ? `: fewer than the ${setup.run.m} control points, so some of them are useless.` : ": more of them cost more evaluations later.");
+  return `${rank} independent ways to deform ${setup.run.n.toLocaleString("en")} vertices${sides}` + (rank < setup.run.m ? `: fewer than the ${setup.run.m} control points, so some of them have no effect of their own.` : ": with more of them, the later optimization needs more evaluations.");
 }
 
 /** The card of one setup. */
 function card(setup, mesh, title, several) {
   const list = el("dl", {},
-    el("dt", {}, `R = ${short(setup.R)}`), el("dd", {}, el("b", {}, "Regularity. "), regularityWords(setup)),
-    el("dt", {}, `P = ${short(setup.P)}`), el("dd", {}, el("b", {}, "Improvement potential. "), potentialWords(setup, mesh)));
-  const variability = variabilityWords(setup);
+    el("dt", {}, `R = ${short(setup.R)}`), el("dd", {}, el("b", {}, "Regularity. "), regularityText(setup)),
+    el("dt", {}, `P = ${short(setup.P)}`), el("dd", {}, el("b", {}, "Improvement potential. "), potentialText(setup, mesh)));
+  const variability = variabilityText(setup);
   if (variability) list.append(el("dt", {}, `V = ${short(setup.V)}`), el("dd", {}, el("b", {}, "Variability. "), variability));
   return el("div", { class: "card" }, el("h3", {}, title), el("p", { class: "hint" }, `${origin(setup, several)}${setup.nondominated ? "; no other setup of its run is better in both scores" : "; another setup of its run is at least as good in both scores"}`), list);
 }
@@ -68,22 +68,22 @@ function card(setup, mesh, title, several) {
 /** How two setups differ. */
 function comparison(a, b) {
   const times = b.R > 0 && a.R > 0 ? `${short(a.R / b.R, 3)} times the regularity` : "another regularity";
-  const left = 1 - b.P > 0 ? `${short((1 - a.P) / (1 - b.P), 3)} times the squared rest` : "another rest";
-  return `The chosen setup has ${times} of the kept one, and leaves ${left} that the kept one leaves.`;
+  const residual = 1 - b.P > 0 ? `${short((1 - a.P) / (1 - b.P), 3)} times its squared residual` : "another residual";
+  return `Compared with the kept setup, the chosen one has ${times} and ${residual}.`;
 }
 
-/** The commands that carry a setup on. */
-function nextWords(setup, mesh) {
+/** The commands that continue with a setup. */
+function nextSteps(setup, mesh) {
   const place = setup.run.place || ".";
   const pick = `python -m rbfevo.export ${place} --pick index:${setup.row}`;
   const fit = mesh.direction || setup.run.mirror ? "" : `\npython -m rbfevo.fit ${place} --pick index:${setup.row}`;
-  return el("div", {}, el("p", {}, "To go on with the chosen setup, in the directory of this page:"),
+  return el("div", {}, el("p", {}, "To continue with the chosen setup, in the directory of this page:"),
     el("pre", {}, `${pick}${fit}\npython -m rbfevo.show ${place} --pick index:${setup.row}`),
-    el("p", {}, "The first writes its control points for spreadsheets, ParaView, NumPy and PyGeM" + (fit ? ", the second carries out a trial optimization" : "") + ", the last opens it in a window of its own."));
+    el("p", {}, "The first command writes its control points for spreadsheets, ParaView, NumPy and PyGeM" + (fit ? ", the second carries out a trial optimization" : "") + ", the last shows it in a window."));
 }
 
 /** How one run was made. */
-function madeWords(run) {
+function madeDetails(run) {
   const { command, facts, versions, notes, warnings } = run.made, body = el("div", {});
   body.append(el("h3", {}, run.title));
   if (command) {
@@ -94,8 +94,8 @@ function madeWords(run) {
   for (const [name, value] of Object.entries(facts)) table.append(el("tr", {}, el("th", { class: "text", scope: "row" }, name), el("td", { class: "text" }, typeof value === "number" ? short(value, 6) : String(value))));
   if (Object.keys(versions).length) table.append(el("tr", {}, el("th", { class: "text", scope: "row" }, "versions"), el("td", { class: "text", style: "white-space: normal" }, Object.entries(versions).map(([name, version]) => `${name} ${version}`).join(", "))));
   body.append(el("div", { class: "scroll" }, table));
-  const said = [...Object.values(notes), ...warnings.map((warning) => `Warning: ${warning}`)];
-  if (said.length) body.append(el("ul", {}, ...said.map((line) => el("li", {}, String(line)))));
+  const lines = [...Object.values(notes), ...warnings.map((warning) => `Warning: ${warning}`)];
+  if (lines.length) body.append(el("ul", {}, ...lines.map((line) => el("li", {}, String(line)))));
   return body;
 }
 
