@@ -273,7 +273,7 @@ def test_resuming_is_refused_in_one_line_while_the_run_is_on(tmp_path, capsys):
     held.stdout.readline()
     assert main([f"resume={tmp_path}", "method.generations=9"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "another process is at work on this run" in line
+    assert "another process is working on this run" in line
     held.communicate()
 
 

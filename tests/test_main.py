@@ -35,7 +35,7 @@ MISTAKES = {
     "manipulation=both": "choose one of direct, indirect",
     "experiment=nope": "choose one of paper",
     "sed=3": "did you mean seed?",
-    "+foo=3": "foo: unknown key; choose one of",
+    "+foo=3": "foo: there is no such key; choose one of",
     "bogus": "bogus",
     "=3": "=3",
     "seed=x": "seed=x: a whole number is expected",

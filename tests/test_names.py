@@ -61,7 +61,7 @@ def with_names(test):
 
 @with_names
 def test_a_name_that_the_program_writes_comes_back(name: str) -> None:
-    word = names.word("scenario.template", name)
+    word = names.override("scenario.template", name)
     (parsed,) = OverridesParser.create().parse_overrides([word])
     value = OmegaConf.create({"name": parsed.value()})["name"]
     assert str(value).removeprefix("./") == name.removeprefix("./")

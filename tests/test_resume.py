@@ -257,7 +257,7 @@ def test_a_changed_design_is_refused(half, monkeypatch):
 
 def test_a_run_that_is_done_is_refused(tmp_path):
     run.carry_out(settings("nsga2"), tmp_path)
-    check_refused(tmp_path, "there is nothing to resume")
+    check_refused(tmp_path, "is finished; to lengthen it")
 
 
 def test_a_gradient_search_cannot_be_lengthened(tmp_path):
