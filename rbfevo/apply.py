@@ -41,7 +41,12 @@ def parser() -> parsers.Parser:
         help="how far each center moves: CSV with columns center,dx,dy,dz or only dx,dy,dz (on the plane also one, "
         "the height), NPY [m, 3], or NPZ with an array named displacements",
     )
-    what.add_argument("--weights", type=Path, metavar="FILE", help="the RBF weights instead: center,wx,wy,wz")
+    what.add_argument(
+        "--weights",
+        type=Path,
+        metavar="FILE",
+        help="RBF weights instead of displacements, in the same way: center,wx,wy,wz",
+    )
     made.add_argument("--mesh", type=Path, required=True, metavar="FILE", help="the mesh to deform")
     made.add_argument("--out", type=Path, required=True, metavar="FILE", help="the file to write the deformed mesh to")
     made.add_argument("--force", action="store_true", help="write a volume mesh even if cells turn inside out")

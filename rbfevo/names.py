@@ -69,7 +69,7 @@ def is_sweep(arguments: Sequence[str]) -> bool:
     return any(argument in SWEEP for argument in arguments)
 
 
-def word(key: str, name: str | Path) -> str:
+def override(key: str, name: str | Path) -> str:
     """The override that gives a key exactly this name, whatever it is."""
     text = str(name)
     text = f"./{text}" if text.startswith("~") else text

@@ -26,8 +26,8 @@ HARMLESS = "willReadFrequently"  # advice of Chromium to the plotting library
 
 def executable() -> str | None:
     """The browser to use: RBFEVO_BROWSER, or the first of NAMES that is installed."""
-    told = os.environ.get("RBFEVO_BROWSER")
-    return told or next((found for name in NAMES if (found := shutil.which(name))), None)
+    path = os.environ.get("RBFEVO_BROWSER")
+    return path or next((found for name in NAMES if (found := shutil.which(name))), None)
 
 
 def started() -> Iterator[Browser]:

@@ -48,9 +48,9 @@ def test_a_cloud_follows_the_centers(what: str, name: str, tmp_path: Path, capsy
     points = np.concatenate([points_of(d), spatial(C)])
     np.save(tmp_path / "a.npy", points)
     np.savez(tmp_path / "rows.npz", **{what: rows})
-    words = [f"--{what}", str(tmp_path / "rows.npz"), "--mesh", str(tmp_path / "a.npy")]
-    assert apply.main([str(run), "--pick", "index:0", *words, "--out", str(tmp_path / "b.npy")]) == 0
-    told = capsys.readouterr().out
+    arguments = [f"--{what}", str(tmp_path / "rows.npz"), "--mesh", str(tmp_path / "a.npy")]
+    assert apply.main([str(run), "--pick", "index:0", *arguments, "--out", str(tmp_path / "b.npy")]) == 0
+    output = capsys.readouterr().out
     found = np.load(tmp_path / "b.npy") - points
     if what == "weights":
         np.testing.assert_allclose(found, field(record, 0, points[:, :d], rows), atol=1e-12)
@@ -59,8 +59,8 @@ def test_a_cloud_follows_the_centers(what: str, name: str, tmp_path: Path, capsy
         linear = [field(record, 0, C, e.reshape(rows.shape)).ravel() for e in np.eye(rows.size)]
         weights = np.linalg.lstsq(np.stack(linear, axis=1), rows.ravel(), rcond=1e-13)[0].reshape(rows.shape)
         np.testing.assert_allclose(found, field(record, 0, points[:, :d], weights), atol=1e-7)
-    assert f"{len(points)} points moved by at most {np.linalg.norm(found, axis=1).max():.6g}" in told
-    assert f"written: {tmp_path / 'b.npy'}" in told
+    assert f"{len(points)} points moved by at most {np.linalg.norm(found, axis=1).max():.6g}" in output
+    assert f"written: {tmp_path / 'b.npy'}" in output
 
 
 @pytest.mark.parametrize("kernel", ["wendland", "triharmonic"])
@@ -70,8 +70,8 @@ def test_a_mirrored_run_keeps_a_symmetric_mesh_symmetric(kernel: str, tmp_path: 
     half = points_of(3)
     np.save(tmp_path / "a.npy", np.concatenate([half, half * [1, -1, 1], half * [1, 0, 1]]))
     np.save(tmp_path / "rows.npy", rows)
-    words = ["--displacements", str(tmp_path / "rows.npy"), "--mesh", str(tmp_path / "a.npy"), "--quiet"]
-    assert apply.main([str(run), "--pick", "index:0", *words, "--out", str(tmp_path / "b.npy")]) == 0
+    arguments = ["--displacements", str(tmp_path / "rows.npy"), "--mesh", str(tmp_path / "a.npy"), "--quiet"]
+    assert apply.main([str(run), "--pick", "index:0", *arguments, "--out", str(tmp_path / "b.npy")]) == 0
     one, other, middle = np.split(np.load(tmp_path / "b.npy"), 3)
     np.testing.assert_allclose(other, one * [1, -1, 1], atol=1e-12)
     np.testing.assert_array_equal(middle[:, 1], 0.0)
@@ -116,11 +116,13 @@ def test_heights_of_the_plane(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 def warned(run: Path, mesh: Path, rows: Any, capsys: pytest.CaptureFixture[str]) -> list[str]:
     np.save(run.parent / "rows.npy", rows)
-    words = ["--displacements", str(run.parent / "rows.npy"), "--mesh", str(mesh), "--quiet", "--overwrite"]
-    assert apply.main([str(run), "--pick", "index:0", *words, "--out", str(mesh.with_name(f"out{mesh.suffix}"))]) == 0
-    said = capsys.readouterr()
-    assert said.out == ""
-    lines = said.err.splitlines()
+    arguments = ["--displacements", str(run.parent / "rows.npy"), "--mesh", str(mesh), "--quiet", "--overwrite"]
+    assert (
+        apply.main([str(run), "--pick", "index:0", *arguments, "--out", str(mesh.with_name(f"out{mesh.suffix}"))]) == 0
+    )
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    lines = captured.err.splitlines()
     assert all(line.startswith("warning: ") for line in lines)
     return [line.removeprefix("warning: ") for line in lines]
 
@@ -169,12 +171,12 @@ def test_inverted_triangles_and_tetrahedra(tmp_path: Path, capsys: pytest.Captur
     grid: Any = pyvista.PolyData(record.centers[0]).delaunay_3d()
     grid.save(tmp_path / "a.vtu")
     np.save(tmp_path / "rows.npy", 30 * rows)
-    words = ["--displacements", str(tmp_path / "rows.npy"), "--mesh", str(tmp_path / "a.vtu"), "--quiet"]
-    words = [str(run), "--pick", "index:0", *words, "--out", str(tmp_path / "deformed.vtu")]
-    assert apply.main(words) == 2
+    arguments = ["--displacements", str(tmp_path / "rows.npy"), "--mesh", str(tmp_path / "a.vtu"), "--quiet"]
+    arguments = [str(run), "--pick", "index:0", *arguments, "--out", str(tmp_path / "deformed.vtu")]
+    assert apply.main(arguments) == 2
     refused = capsys.readouterr().err
     assert not (tmp_path / "deformed.vtu").exists()
-    assert apply.main([*words, "--force"]) == 0
+    assert apply.main([*arguments, "--force"]) == 0
     (line,) = capsys.readouterr().err.splitlines()
     corners = grid.cells.reshape(-1, 5)[:, 1:]
     volumes = [
@@ -190,7 +192,7 @@ def test_inverted_triangles_and_tetrahedra(tmp_path: Path, capsys: pytest.Captur
     limit = float(re.search(r"multiply the displacements by less than ([\d.e-]+),", refused)[1])  # pyright: ignore[reportOptionalSubscript]
     for share, code in ((0.999 * limit, 0), (1.02 * limit, 2)):
         np.save(tmp_path / "rows.npy", share * 30 * rows)
-        assert apply.main([*words, "--overwrite"]) == code
+        assert apply.main([*arguments, "--overwrite"]) == code
 
 
 # --- mistakes --------------------------------------------------------------------------------------------------------
@@ -213,8 +215,8 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("words", MISTAKES)
-def test_a_mistake_is_one_clear_line(words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("arguments", MISTAKES)
+def test_a_mistake_is_one_clear_line(arguments: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = a_run(tmp_path / "run")
     np.save(tmp_path / "mesh.npy", points_of(3))
     np.save(tmp_path / "rows.npy", np.zeros((6, 3)))
@@ -222,7 +224,7 @@ def test_a_mistake_is_one_clear_line(words: str, tmp_path: Path, capsys: pytest.
     np.save(tmp_path / "nan.npy", [[1.0, 2, 3], [np.nan, 2, 3]])
     places = {"RUN": run, "ROWS": "rows.npy", "MESH": "mesh.npy", "OUT": "out.npy", "PLACE": ""}
     before = sorted(tmp_path.rglob("*"))
-    line, message = words, MISTAKES[words].replace("PLACE", str(tmp_path))
+    line, message = arguments, MISTAKES[arguments].replace("PLACE", str(tmp_path))
     for name, place in places.items():
         line = line.replace(name, str(tmp_path / place))
     assert apply.main(line.split()) == 2
@@ -261,10 +263,10 @@ def test_overwriting_takes_a_word(tmp_path: Path) -> None:
     np.save(tmp_path / "a.npy", points_of(3))
     np.save(tmp_path / "rows.npy", rows)
     mesh = str(tmp_path / "a.npy")
-    words = [str(run), "--pick", "index:0", "--weights", str(tmp_path / "rows.npy"), "--mesh", mesh, "--out", mesh]
-    assert apply.main([*words, "--quiet"]) == 2
+    arguments = [str(run), "--pick", "index:0", "--weights", str(tmp_path / "rows.npy"), "--mesh", mesh, "--out", mesh]
+    assert apply.main([*arguments, "--quiet"]) == 2
     np.testing.assert_array_equal(np.load(mesh), points_of(3))
-    assert apply.main([*words, "--overwrite", "--quiet"]) == 0
+    assert apply.main([*arguments, "--overwrite", "--quiet"]) == 0
     np.testing.assert_allclose(np.load(mesh), points_of(3) + field(record, 0, points_of(3), rows), atol=1e-12)
 
 
@@ -283,8 +285,8 @@ def test_whatever_bytes_come_in_the_answer_is_0_or_a_line(
     run = a_run(place / "run", m=2)
     np.save(place / "a.npy", points_of(3, 5))
     (place / "rows").write_bytes(content)
-    words = ["--displacements", str(place / "rows"), "--mesh", str(place / "a.npy"), "--out", str(place / "b.npy")]
-    code = apply.main([str(run), "--pick", "index:0", *words, "--quiet"])
+    arguments = ["--displacements", str(place / "rows"), "--mesh", str(place / "a.npy"), "--out", str(place / "b.npy")]
+    code = apply.main([str(run), "--pick", "index:0", *arguments, "--quiet"])
     assert code in (0, 2)
     assert (place / "b.npy").exists() == (code == 0)
 
@@ -294,12 +296,12 @@ def test_apply_takes_what_export_wrote_for_centers_on_the_plane(
     at: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = a_run(tmp_path / "run", symmetry={"axis": "x", "at": at}, on=3, kernel="triharmonic", m=9)
-    words = [str(run), "--pick", "index:0"]
-    assert export.main([*words, "--quiet", "--out", str(tmp_path / "out")]) == 0
+    arguments = [str(run), "--pick", "index:0"]
+    assert export.main([*arguments, "--quiet", "--out", str(tmp_path / "out")]) == 0
     np.save(tmp_path / "a.npy", points_of(3))
     for what in ("displacements", "weights"):
         files = [f"--{what}", str(tmp_path / "out" / f"{what}.csv"), "--mesh", str(tmp_path / "a.npy")]
-        assert apply.main([*words, *files, "--out", str(tmp_path / f"{what}.npy")]) == 0, capsys.readouterr().err
+        assert apply.main([*arguments, *files, "--out", str(tmp_path / f"{what}.npy")]) == 0, capsys.readouterr().err
     one, other = (np.load(tmp_path / f"{what}.npy") for what in ("displacements", "weights"))
     np.testing.assert_allclose(one, other, rtol=0, atol=1e-8)
 

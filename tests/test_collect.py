@@ -72,7 +72,7 @@ def test_runs_that_cannot_be_read_or_are_there_twice_are_warned_of(sweep_directo
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("arguments", "message"),
     [
         (["nowhere"], "there is no such directory"),
         (["."], "there is no run here or below"),
@@ -81,17 +81,17 @@ def test_runs_that_cannot_be_read_or_are_there_twice_are_warned_of(sweep_directo
         (["sweep", "--pick", "knee"], "unrecognized arguments: --pick knee"),
     ],
 )
-def test_a_mistake_is_one_line_and_exit_code_2(words, said, tmp_path, monkeypatch, capsys):
+def test_a_mistake_is_one_line_and_exit_code_2(arguments, message, tmp_path, monkeypatch, capsys):
     (tmp_path / "empty").mkdir()
     monkeypatch.chdir(tmp_path / "empty")
-    if "sweep" in words:
+    if "sweep" in arguments:
         a_run(Path("sweep/0"))
         Path("file").write_text("")
-    assert collect.main(words) == 2
+    assert collect.main(arguments) == 2
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
     assert err.startswith("rbfevo.collect: ")
-    assert said in err
+    assert message in err
 
 
 def test_torch_is_not_waited_for(sweep_directory):
@@ -99,6 +99,6 @@ def test_torch_is_not_waited_for(sweep_directory):
         "import sys; from rbfevo import collect; code = collect.main([sys.argv[1]]); "
         "sys.exit(code or len({'torch', 'pyvista', 'pandas'} & set(sys.modules)))"
     )
-    words = [sys.executable, "-c", code, str(sweep_directory)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    arguments = [sys.executable, "-c", code, str(sweep_directory)]
+    done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, "")

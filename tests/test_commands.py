@@ -18,7 +18,7 @@ from rbfevo.errors import UserError
 
 ROOT = Path(__file__).parents[1]
 SMALL = ["scenario.resolution=[12,12]", "centers=4", "evaluator=eager", "figures=false"]
-MODULES = {  # with words that are right
+MODULES = {  # with arguments that are right
     "rbfevo.export": ["RUN", "--pick", "knee"],
     "rbfevo.apply": ["RUN", "--pick", "knee", "--weights", "w.csv", "--mesh", "a.vtp", "--out", "b.vtp"],
     "rbfevo.show": ["RUN"],
@@ -42,16 +42,16 @@ def command_of(name: str):
     return package if hasattr(package, "main") else importlib.import_module(f"{name}.__main__")
 
 
-def start(name: str, *words: str, imports: Path | None = None, **streams: Any) -> subprocess.Popen[bytes]:
+def start(name: str, *arguments: str, imports: Path | None = None, **streams: Any) -> subprocess.Popen[bytes]:
     path = os.pathsep.join(map(str, [*([imports] if imports else []), ROOT]))
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONPATH": path}
-    process: Any = subprocess.Popen([sys.executable, "-m", name, *words], env=environment, **streams)
+    process: Any = subprocess.Popen([sys.executable, "-m", name, *arguments], env=environment, **streams)
     return process
 
 
-def ended(name: str, *words: str, imports: Path | None = None) -> tuple[int, str, str]:
+def ended(name: str, *arguments: str, imports: Path | None = None) -> tuple[int, str, str]:
     """Exit code, stdout and stderr of a command."""
-    process = start(name, *words, imports=imports, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = start(name, *arguments, imports=imports, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     out, err = process.communicate(timeout=120)
     return process.returncode, out.decode(), err.decode()
 
@@ -85,7 +85,7 @@ def test_ctrl_c_is_one_line_whatever_a_command_is_at(name, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("name", "words", "imported"),
+    ("name", "arguments", "imported"),
     [
         ("rbfevo", ["method=lloyd"], "hydra"),
         ("rbfevo", [*SMALL, "method=lloyd", "hydra.run.dir=OUT"], "torch"),
@@ -93,12 +93,12 @@ def test_ctrl_c_is_one_line_whatever_a_command_is_at(name, monkeypatch, capsys):
         ("rbfevo.export", ["RUN", "--pick", "knee", "--out", "OUT"], "scipy"),
     ],
 )
-def test_ctrl_c_while_something_is_imported_is_one_line(name, words, imported, run, tmp_path):
+def test_ctrl_c_while_something_is_imported_is_one_line(name, arguments, imported, run, tmp_path):
     """A module that is interrupted as it is imported stands for the one that takes so long."""
     (tmp_path / "imports").mkdir()
     (tmp_path / "imports" / f"{imported}.py").write_text("raise KeyboardInterrupt\n")
-    words = [word.replace("RUN", str(run)).replace("OUT", str(tmp_path / "out")) for word in words]
-    code, _, err = ended(name, *words, imports=tmp_path / "imports")
+    arguments = [word.replace("RUN", str(run)).replace("OUT", str(tmp_path / "out")) for word in arguments]
+    code, _, err = ended(name, *arguments, imports=tmp_path / "imports")
     assert (code, err) == (130, f"{name}: interrupted\n")
     assert not (tmp_path / "out").exists()
 
@@ -115,12 +115,12 @@ def test_an_unknown_option_is_one_line_that_says_where_the_options_are(name, cap
 # --- closed pipes ----------------------------------------------------------------------------------------------------
 
 
-def ended_unheard(name: str, *words: str, too: str = "") -> tuple[int, str]:
+def ended_unheard(name: str, *arguments: str, too: str = "") -> tuple[int, str]:
     """Exit code and stderr of a command whose stdout nobody reads; with `too`, whose stderr nobody reads either."""
     reader, writer = os.pipe()
     os.close(reader)
     try:
-        process = start(name, *words, stdout=writer, stderr=writer if too else subprocess.PIPE)
+        process = start(name, *arguments, stdout=writer, stderr=writer if too else subprocess.PIPE)
         _, err = process.communicate(timeout=120)
     finally:
         os.close(writer)
@@ -137,14 +137,20 @@ def test_a_mistake_that_nobody_reads_is_still_one():
 
 
 def test_an_export_that_nobody_reads_is_whole(run, tmp_path):
-    words = [str(run), "--pick", "knee", "--out", str(tmp_path / "out")]
-    assert ended_unheard("rbfevo.export", *words) == (0, "")
+    arguments = [str(run), "--pick", "knee", "--out", str(tmp_path / "out")]
+    assert ended_unheard("rbfevo.export", *arguments) == (0, "")
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"centers.csv", "centers.vtp", "template.vtp"}
 
 
 def test_a_run_that_nobody_listens_to_keeps_its_results(tmp_path):
-    words = [*SMALL, f"hydra.run.dir={tmp_path / 'run'}", "method=nsga2", "method.population=8", "method.generations=3"]
-    assert ended_unheard("rbfevo", *words) == (0, "")
+    arguments = [
+        *SMALL,
+        f"hydra.run.dir={tmp_path / 'run'}",
+        "method=nsga2",
+        "method.population=8",
+        "method.generations=3",
+    ]
+    assert ended_unheard("rbfevo", *arguments) == (0, "")
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert (summary["stop_reason"], summary["evaluations"]) == ("budget", 32)
     assert (tmp_path / "run" / "setups.npz").exists()
@@ -152,13 +158,13 @@ def test_a_run_that_nobody_listens_to_keeps_its_results(tmp_path):
 
 def test_lines_that_cannot_be_encoded_end_nothing(tmp_path):
     code = "from rbfevo.commands import parsers\nparsers.start(lambda: print('caf\\xe9 \\u7f51 \\udcff') or 3)"
-    said = {}
+    output = {}
     for encoding in ("utf-8", "latin-1"):
         environment = os.environ | {"PYTHONIOENCODING": f"{encoding}:strict", "PYTHONPATH": str(ROOT)}
         done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, timeout=60)
         assert (done.returncode, done.stderr) == (3, b"")
-        said[encoding] = done.stdout.strip()
-    assert said == {"utf-8": "café 网 ".encode() + b"\xff", "latin-1": b"caf\xe9 \\u7f51 \\udcff"}
+        output[encoding] = done.stdout.strip()
+    assert output == {"utf-8": "café 网 ".encode() + b"\xff", "latin-1": b"caf\xe9 \\u7f51 \\udcff"}
 
 
 # --- what they wait for ----------------------------------------------------------------------------------------------
@@ -167,13 +173,13 @@ HEAVY = ("torch", "numba", "scipy", "pyvista", "vtk", "vtkmodules", "trimesh", "
 WITHOUT = """
 import contextlib, importlib, io, json, sys
 tasks, heavy = map(json.loads, sys.argv[1:])
-for name, words in tasks:
+for name, arguments in tasks:
     package = importlib.import_module(name)
     module = package if hasattr(package, "main") else importlib.import_module(f"{name}.__main__")
     err = io.StringIO()
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(err):
         try:
-            code = module.main(words)
+            code = module.main(arguments)
         except SystemExit as error:
             code = error.code
     imported = [name for name in heavy if name in sys.modules]
@@ -183,15 +189,15 @@ NOTHING = "RUN/nowhere"
 AT_ONCE = [
     *[(name, ["--help"]) for name in ("rbfevo", *MODULES)],
     *[(name, ["--bogus"]) for name in ("rbfevo", *MODULES)],
-    *[(name, [NOTHING if word == "RUN" else word for word in words]) for name, words in MODULES.items()],
+    *[(name, [NOTHING if word == "RUN" else word for word in arguments]) for name, arguments in MODULES.items()],
     ("rbfevo.export", ["RUN", "--pick", "nee"]),
     ("rbfevo.show", ["RUN", "--pick", "index:99"]),
     ("rbfevo.figures", ["RUN", "--only", "nothing"]),
     ("rbfevo.fit", ["RUN", "--pick", "knee", "--strategy", "both"]),
     ("rbfevo.fit", ["RUN", "--pick", "knee", "--manipulation", "both"]),
     *[
-        ("rbfevo", words.split())
-        for words in (
+        ("rbfevo", arguments.split())
+        for arguments in (
             "sed=3",
             "method.generatons=3",
             "method=gradient method.generatons=3",
@@ -222,7 +228,7 @@ AT_ONCE = [
 @pytest.fixture(scope="module")
 def at_once(run: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str, list[str]]]:
     """Exit code, stderr and what was imported by each, one after the other in one process."""
-    tasks = [[name, [word.replace("RUN", str(run)) for word in words]] for name, words in AT_ONCE]
+    tasks = [[name, [word.replace("RUN", str(run)) for word in arguments]] for name, arguments in AT_ONCE]
     where = tmp_path_factory.mktemp("at-once")
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(
@@ -230,11 +236,11 @@ def at_once(run: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, tu
         cwd=where, env=environment, capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    keys = [f"{name} {' '.join(words)}" for name, words in AT_ONCE]
+    keys = [f"{name} {' '.join(arguments)}" for name, arguments in AT_ONCE]
     return dict(zip(keys, map(json.loads, done.stdout.splitlines()), strict=True))
 
 
-@pytest.mark.parametrize("key", [f"{name} {' '.join(words)}" for name, words in AT_ONCE])
+@pytest.mark.parametrize("key", [f"{name} {' '.join(arguments)}" for name, arguments in AT_ONCE])
 def test_help_and_mistakes_do_not_wait_for_libraries(key, at_once):
     code, err, imported = at_once[key]
     assert imported == []
@@ -248,8 +254,8 @@ def test_help_and_mistakes_do_not_wait_for_libraries(key, at_once):
 def test_the_first_line_of_a_run_comes_before_torch(tmp_path):
     (tmp_path / "torch.py").write_text("raise KeyboardInterrupt\n")
     out = tmp_path / "run"
-    words = ["scenario=face", "kernel=triharmonic", "manipulation=direct", "method=lloyd", "centers=9", "seed=4"]
-    _, said, _ = ended("rbfevo", *words, f"hydra.run.dir={out}", imports=tmp_path)
+    arguments = ["scenario=face", "kernel=triharmonic", "manipulation=direct", "method=lloyd", "centers=9", "seed=4"]
+    _, output, _ = ended("rbfevo", *arguments, f"hydra.run.dir={out}", imports=tmp_path)
     first = f"scenario face, kernel triharmonic, manipulation direct, method lloyd, 9 centers, seed 4: {out}"
-    assert said.splitlines() == [first]
-    assert ended("rbfevo", *words, "quiet=true", f"hydra.run.dir={out}", imports=tmp_path)[1] == ""
+    assert output.splitlines() == [first]
+    assert ended("rbfevo", *arguments, "quiet=true", f"hydra.run.dir={out}", imports=tmp_path)[1] == ""

@@ -31,15 +31,15 @@ def commands() -> list[list[str]]:
 def test_the_five_commands_lower_the_drag(tmp_path: Path) -> None:
     lines = commands()
     assert len(lines) == 5
-    said = []
-    for words in lines:
-        program = words[2] if words[1] == "-m" else words[1]
-        more = SHORT.get(program, []) if "--drag" not in words else []
-        words = [str(ROOT / word) if word == "docs/car/body.py" else word for word in [*words[1:], *more]]
-        done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True, check=False)
+    outputs = []
+    for arguments in lines:
+        program = arguments[2] if arguments[1] == "-m" else arguments[1]
+        more = SHORT.get(program, []) if "--drag" not in arguments else []
+        arguments = [str(ROOT / word) if word == "docs/car/body.py" else word for word in [*arguments[1:], *more]]
+        done = subprocess.run([sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-        said.append(done.stdout)
-    before, after = (float(re.findall(r"J = ([\d.]+)", text)[0]) for text in (said[0], said[-1]))
+        outputs.append(done.stdout)
+    before, after = (float(re.findall(r"J = ([\d.]+)", text)[0]) for text in (outputs[0], outputs[-1]))
     assert after < 0.95 * before
     template, deformed = (pv.read(tmp_path / "outputs" / "car" / f"{name}.vtp") for name in ("car", "deformed"))
     moved = np.linalg.norm(np.asarray(deformed.points) - np.asarray(template.points), axis=1)

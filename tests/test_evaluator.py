@@ -342,7 +342,7 @@ def test_every_center_in_turn(manipulation: str, backend: str, position: int) ->
     some = built("plane")
     fast = evaluator(some, Wendland(0.25), manipulation, backend)
     centers = some.centers(5, seed=1)
-    rest = fast(torch.cat([centers[:position], centers[position + 1 :]]))
+    others = fast(torch.cat([centers[:position], centers[position + 1 :]]))
 
     # (a) not finite: failed.
     for value in (torch.nan, torch.inf):
@@ -356,7 +356,7 @@ def test_every_center_in_turn(manipulation: str, backend: str, position: int) ->
         broken = centers.clone()
         spoil(broken, trouble, position)
         found = fast(broken)
-        wanted = rest if trouble == "out of reach" else fast.definition(broken)
+        wanted = others if trouble == "out of reach" else fast.definition(broken)
         assert found.regularity == 0.0
         assert found.variability.item() == 4 / len(some.vertices)
         assert found.improvement_potential.item() == pytest.approx(wanted.improvement_potential.item(), abs=1e-10)

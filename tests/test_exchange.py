@@ -111,8 +111,8 @@ def test_tables_keep_their_other_columns(text: bytes, columns: bytes, tmp_path: 
     comma = b";" in text
     expected = columns
     for place, number in enumerate((X + bend(X)).ravel().tolist()):
-        said = repr(number).replace(".", ",") if comma else repr(number)
-        expected = expected.replace(b"{%d}" % place, said.encode())
+        formatted = repr(number).replace(".", ",") if comma else repr(number)
+        expected = expected.replace(b"{%d}" % place, formatted.encode())
     assert out.read_bytes() == expected
 
 
@@ -363,7 +363,7 @@ def test_meshio_that_reads_for_ever_is_stopped(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr("rbfevo.meshes.foreign.WORKER", tmp_path / "worker.py")
     monkeypatch.setattr("rbfevo.meshes.foreign.PATIENCE", 0.5)
     (tmp_path / "a.msh").write_bytes(b"anything")
-    with pytest.raises(UserError, match=r"meshio comes to no end with it in \d+ s: damaged"):
+    with pytest.raises(UserError, match=r"meshio did not finish reading within \d+ s: damaged"):
         deform(tmp_path / "a.msh", tmp_path / "b.msh")
 
 
@@ -442,18 +442,18 @@ def damaged(content: bytes, cut: int, place: int, patch: bytes) -> bytes:
     return (content[:place] + patch + content[place + len(patch) :])[: max(1, cut % (len(content) + 1))]
 
 
-def survives(ending: str, content: bytes, place: Path) -> None:
-    """Whatever the bytes, the mesh is deformed or refused in one line, and nothing is left half-written."""
+def check_survival(ending: str, content: bytes, place: Path) -> None:
+    """Assert that the mesh is deformed or refused in one line, and that no other file is left behind."""
     source, out = place / f"a{ending}", place / f"b{ending}"
     source.write_bytes(content)
     out.unlink(missing_ok=True)
     try:
-        said = " ".join(deform(source, out, lambda points: 0.5 * np.tanh(points)))
+        message = " ".join(deform(source, out, lambda points: 0.5 * np.tanh(points)))
         assert out.exists()
     except UserError as error:
-        said = str(error)
+        message = str(error)
         assert not out.exists()
-    assert "\n" not in said
+    assert "\n" not in message
     assert {path.name for path in place.iterdir()} <= {source.name, out.name}
 
 
@@ -464,7 +464,7 @@ def test_whatever_bytes_come_in(ending: str, damage: Any, tmp_path_factory: pyte
     cut = damage.draw(st.integers(0, len(content)) | st.just(len(content)))
     patch = damage.draw(st.binary(max_size=8))
     place = damage.draw(st.integers(0, len(content)))
-    survives(ending.strip("+"), damaged(content, cut, place, patch), tmp_path_factory.mktemp("damaged"))
+    check_survival(ending.strip("+"), damaged(content, cut, place, patch), tmp_path_factory.mktemp("damaged"))
 
 
 @pytest.mark.slow
@@ -483,7 +483,7 @@ def test_whatever_bytes_come_in_through_a_process(ending: str, tmp_path: Path, m
     for _ in range(25):
         cut = int(rng.integers(len(content))) if rng.random() < 0.5 else len(content)
         patch = rng.bytes(int(rng.integers(1, 6)))
-        survives(ending, damaged(content, cut, int(rng.integers(len(content))), patch), tmp_path)
+        check_survival(ending, damaged(content, cut, int(rng.integers(len(content))), patch), tmp_path)
 
 
 # --- displacements ---------------------------------------------------------------------------------------------------
@@ -573,12 +573,12 @@ def test_whatever_bytes_hold_displacements(tmp_path_factory: Any, content: bytes
     path = tmp_path_factory.mktemp("table") / "a.csv"
     path.write_bytes(content)
     try:
-        rows, said = read_rows(path, "displacements", np.zeros((2, 3)), heights), ""
+        rows, message = read_rows(path, "displacements", np.zeros((2, 3)), heights), ""
     except UserError as error:
-        rows, said = np.zeros((2, 3)), str(error)
+        rows, message = np.zeros((2, 3)), str(error)
     assert rows.shape == (2, 3)
     assert np.isfinite(rows).all()
-    assert "\n" not in said
+    assert "\n" not in message
 
 
 def test_nastran_takes_any_coordinates(tmp_path: Path) -> None:

@@ -62,9 +62,9 @@ def a_run(
     )
     box = {"lower": lower, "upper": upper}
     np.savez(run / "scenario.npz", vertices=vertices, faces=faces, gradient=g / norm, weights=weights, **box)
-    told = {"scenario": "face", "kernel": kernel, "support": 0.9 if kernel == "wendland" else None}
-    told |= {"manipulation": "indirect", "gradient_norm": norm, "symmetry": symmetry}
-    (run / "summary.json").write_text(json.dumps(told | summary))
+    content = {"scenario": "face", "kernel": kernel, "support": 0.9 if kernel == "wendland" else None}
+    content |= {"manipulation": "indirect", "gradient_norm": norm, "symmetry": symmetry}
+    (run / "summary.json").write_text(json.dumps(content | summary))
     return run
 
 
@@ -92,7 +92,7 @@ def best(record: Record, row: int) -> Any:
 def test_every_file_says_what_numpy_says(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = a_run(tmp_path / "run", **CASES[name])
     assert export.main([str(run), "--pick", "index:1"]) == 0
-    out, told = run / "export-index-1", capsys.readouterr().out
+    out, output = run / "export-index-1", capsys.readouterr().out
     record = read(run)
     C, (m, d), k = record.centers[1], record.centers[1].shape, record.gradient.shape[1]
     norm, symmetry, on = record.summary["gradient_norm"], record.summary["symmetry"], CASES[name].get("on", 0)
@@ -171,13 +171,13 @@ def test_every_file_says_what_numpy_says(name: str, tmp_path: Path, capsys: pyte
         weights = (np.linalg.pinv(moves) @ p.ravel()).reshape(m, k)
         np.testing.assert_allclose(u, field(record, 1, record.vertices, weights), atol=1e-7)
 
-    assert f"row 1 of {run} (gradient): R = 0.2, P = 0.7500" in told
+    assert f"row 1 of {run} (gradient): R = 0.2, P = 0.7500" in output
     assert ("parameters.prm" in [path.name for path in out.iterdir()]) == (d == 3)
-    assert ("left out: parameters.prm: PyGeM adds a linear polynomial" in told) == (d == 2)
+    assert ("left out: parameters.prm: PyGeM adds a linear polynomial" in output) == (d == 2)
     # The command that it names works and leads to what the least squares reach.
-    (line,) = [line for line in told.splitlines() if line.startswith("next: ")]
-    words = shlex.split(line.removeprefix("next: python -m rbfevo.apply "))
-    assert apply.main([*words, "--quiet"]) == 0
+    (line,) = [line for line in output.splitlines() if line.startswith("next: ")]
+    arguments = shlex.split(line.removeprefix("next: python -m rbfevo.apply "))
+    assert apply.main([*arguments, "--quiet"]) == 0
     deformed: Any = pyvista.read(out / "deformed.vtp")
     np.testing.assert_allclose(deformed.points, spatial(record.vertices) + spatial(reached), atol=1e-7)
 
@@ -220,12 +220,12 @@ def test_pygem_would_interpolate_the_control_points(name: str, tmp_path: Path) -
     np.testing.assert_allclose(np.hstack([Phi, P]) @ weights, deformed, atol=1e-8)
 
 
-@pytest.mark.parametrize("told", [{"gradient_is": "direction"}, {"gradient_norm": None}])
-def test_a_direction_is_scaled_to_the_step(told: dict[str, Any], tmp_path: Path) -> None:
-    run = a_run(tmp_path / "run", **told)
+@pytest.mark.parametrize("summary", [{"gradient_is": "direction"}, {"gradient_norm": None}])
+def test_a_direction_is_scaled_to_the_step(summary: dict[str, Any], tmp_path: Path) -> None:
+    run = a_run(tmp_path / "run", **summary)
     for step, name in ((None, "a"), (0.2, "b")):
-        words = [] if step is None else ["--step", str(step)]
-        assert export.main([str(run), "--pick", "knee", "--quiet", "--out", str(tmp_path / name), *words]) == 0
+        arguments = [] if step is None else ["--step", str(step)]
+        assert export.main([str(run), "--pick", "knee", "--quiet", "--out", str(tmp_path / name), *arguments]) == 0
         template: Any = pyvista.read(tmp_path / name / "template.vtp")
         diagonal = np.linalg.norm(np.ptp(template.points, axis=0))
         size = np.linalg.norm(template["reached"], axis=1).max()
@@ -250,14 +250,14 @@ def test_a_singular_psi_leaves_out_what_needs_it(
     arrays["centers"][0, 1] = arrays["centers"][0, 0]
     np.savez(run / "setups.npz", **arrays)
     assert export.main([str(run), "--pick", "index:0", "--out", str(tmp_path / "out")]) == 0
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     present = {path.name for path in (tmp_path / "out").iterdir()}
     assert present == {"centers.csv", "centers.vtp", "template.vtp", "setup.npz", "weights.csv"}
     with np.load(tmp_path / "out" / "setup.npz") as archive:
         assert ("U" in archive) == (manipulation == "indirect")
-    assert ("left out: U in setup.npz" in told) == (manipulation == "direct")
-    assert "left out: displacements.csv: these centers cannot be moved one by one: their kernel matrix Psi is" in told
-    (line,) = [line for line in told.splitlines() if line.startswith("next: ")]
+    assert ("left out: U in setup.npz" in output) == (manipulation == "direct")
+    assert "left out: displacements.csv: these centers cannot be moved one by one: their kernel matrix Psi is" in output
+    (line,) = [line for line in output.splitlines() if line.startswith("next: ")]
     assert "--weights" in line
     assert apply.main(shlex.split(line.removeprefix("next: python -m rbfevo.apply "))) == 0
 
@@ -277,25 +277,25 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("words", MISTAKES)
-def test_a_mistake_is_one_clear_line(words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("arguments", MISTAKES)
+def test_a_mistake_is_one_clear_line(arguments: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = a_run(tmp_path / "run")
     before = sorted(run.rglob("*"))
-    assert export.main(words.replace("RUN", str(run)).split()) == 2
+    assert export.main(arguments.replace("RUN", str(run)).split()) == 2
     err = capsys.readouterr().err
     assert len(err.splitlines()) == 1
     assert err.startswith("rbfevo.export: ")
-    assert MISTAKES[words] in err
+    assert MISTAKES[arguments] in err
     assert sorted(run.rglob("*")) == before
 
 
 def test_an_export_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run = a_run(tmp_path / "run")
-    words = [str(run), "--pick", "preference:0.3", "--quiet"]
-    assert export.main(words) == 0
+    arguments = [str(run), "--pick", "preference:0.3", "--quiet"]
+    assert export.main(arguments) == 0
     assert capsys.readouterr().out == ""
     held = {path: path.read_bytes() for path in (run / "export-preference-0.3").iterdir()}
     assert {path.name for path in held} == set(export.FILES)
-    assert export.main(words) == 2
+    assert export.main(arguments) == 2
     assert "already holds results (centers.csv): choose another --out" in capsys.readouterr().err
     assert {path: path.read_bytes() for path in (run / "export-preference-0.3").iterdir()} == held

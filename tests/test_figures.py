@@ -92,9 +92,14 @@ def write(
     )
     mesh = {"vertices": vertices, "faces": triangles if faces else triangles[:0], "gradient": g, "weights": weights}
     np.savez(run / "scenario.npz", **mesh, lower=lower, upper=upper)
-    told = {"scenario": "face" if d == 3 else "plane", "kernel": kernel, "support": support, "manipulation": "indirect"}
-    told |= {"method": "panel", "seed": 3, "hypervolume": 0.625, "gradient_norm": norm, **summary}
-    (run / "summary.json").write_text(json.dumps(told))
+    content = {
+        "scenario": "face" if d == 3 else "plane",
+        "kernel": kernel,
+        "support": support,
+        "manipulation": "indirect",
+    }
+    content |= {"method": "panel", "seed": 3, "hypervolume": 0.625, "gradient_norm": norm, **summary}
+    (run / "summary.json").write_text(json.dumps(content))
     return run
 
 
@@ -207,9 +212,9 @@ def test_legend_title_and_axes_name_everything(tmp_path):
     assert set(others) == {"front (nsga2)", "front (gradient)", "preferences (cmaes)", "Lloyd", "OLS", "knee"}
     assert axes.get_ylabel() == "improvement potential"
     assert axes.get_xlabel().startswith("regularity")
-    words = " ".join(text.get_text() for text in image.texts)
+    labels = " ".join(text.get_text() for text in image.texts)
     for word in ("plane", "Wendland", "0.6", "indirect", "hypervolume 0.625", "6 centers", "seed 3"):
-        assert word in words
+        assert word in labels
 
 
 @pytest.mark.parametrize("spread", [1.5, 3.5, 9.0])
@@ -358,8 +363,8 @@ def test_unusual_scenarios_are_drawn(tmp_path, settings):
     record = read(write(tmp_path, **settings))
     image = centers.picture(record, opengl=False)
     assert amount(pixels(image), style.RED) > 10
-    told = any("not to scale" in text.get_text() for text in image.texts)
-    assert told == (settings.get("d") == 3 and settings.get("gradient_norm", 1) in (None, 1e6))
+    noted = any("not to scale" in text.get_text() for text in image.texts)
+    assert noted == (settings.get("d") == 3 and settings.get("gradient_norm", 1) in (None, 1e6))
 
 
 def test_an_unknown_kernel_still_shows_its_centers(tmp_path):

@@ -400,7 +400,7 @@ def test_bad_settings_are_one_line(flat: Scenario, changes: dict[str, Any], mess
 
 # --- the command line ------------------------------------------------------------------------------------------------
 
-WORDS = {
+ARGUMENTS = {
     "plane": ["scenario=plane", "scenario.resolution=[14,20]", "manipulation=direct"],
     "face": ["scenario=face", "scenario.subdivisions=2"],
 }
@@ -412,9 +412,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("runs")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("rbfevo.figures.draw", lambda _: [])
-        for name, words in WORDS.items():
+        for name, arguments in ARGUMENTS.items():
             common = ["method=random", "method.population=6", "centers=6", "quiet=true", "evaluator=eager"]
-            assert run_main([f"hydra.run.dir={place}/{name}", *words, *common]) == 0
+            assert run_main([f"hydra.run.dir={place}/{name}", *arguments, *common]) == 0
     return place
 
 
@@ -424,7 +424,7 @@ def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "arguments"),
     [
         ("plane", "--pick knee"),
         ("plane", "--pick index:2 --manipulation orthogonalized --strategy cmaes --seed 3"),
@@ -433,10 +433,10 @@ def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_a_fit_from_end_to_end(
-    name: str, words: str, runs: Path, tmp_path: Path, no_pictures: None, capsys: pytest.CaptureFixture[str]
+    name: str, arguments: str, runs: Path, tmp_path: Path, no_pictures: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([str(runs / name), *words.split(), "--out", str(tmp_path / "fit")]) == 0
-    told = capsys.readouterr().out
+    assert main([str(runs / name), *arguments.split(), "--out", str(tmp_path / "fit")]) == 0
+    output = capsys.readouterr().out
     summary = json.loads((tmp_path / "fit" / "fit.json").read_text())
     with np.load(tmp_path / "fit" / "parameters.npz") as archive:
         arrays = dict(archive)
@@ -445,10 +445,10 @@ def test_a_fit_from_end_to_end(
     origin = source.rebuild(runs / name, read_fit(tmp_path / "fit").run)
     with np.load(runs / name / "setups.npz") as setups_file:
         np.testing.assert_array_equal(arrays["centers"], setups_file["centers"][summary["row"]])
-        if "index" in words:
+        if "index" in arguments:
             assert summary["row"] == 2
     manipulation = {"plane": "direct", "face": "indirect"}[name]
-    manipulation = words.split("--manipulation ")[1].split()[0] if "--manipulation" in words else manipulation
+    manipulation = arguments.split("--manipulation ")[1].split()[0] if "--manipulation" in arguments else manipulation
     assert summary["manipulation"] == str(arrays["manipulation"]) == manipulation
     C = torch.from_numpy(arrays["centers"])
     U = deformation(origin.scenario, origin.kernel, C, manipulation).U.numpy()
@@ -460,7 +460,7 @@ def test_a_fit_from_end_to_end(
     assert summary["evaluations"] == summary["generations"] * summary["population"]
     assert summary["reached"] == (summary["error"] <= 1.05 * summary["optimum"])
     assert summary["stop_reason"] == ("reached" if summary["reached"] else "generations")
-    assert f"{summary['generations']} generations" in told
+    assert f"{summary['generations']} generations" in output
     X = origin.scenario.vertices.numpy()
     expected = X + u if name == "face" else np.concatenate([X, u], axis=1)
     np.testing.assert_allclose(arrays["deformed"], expected, atol=1e-12)
@@ -482,16 +482,16 @@ def test_the_default_place_and_nothing_is_overwritten(
     runs: Path, tmp_path: Path, no_pictures: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = shutil.copytree(runs / "plane", tmp_path / "run")
-    words = [str(run), "--pick", "index:1", "--generations", "2", "--quiet"]
-    assert main(words) == 0
+    arguments = [str(run), "--pick", "index:1", "--generations", "2", "--quiet"]
+    assert main(arguments) == 0
     place = run / "fit-index-1-direct-isotropic-seed0"
     before = {path.name: path.read_bytes() for path in place.iterdir()}
     assert set(before) == {"fit.json", "history.csv", "parameters.npz", "deformed.ply"}
     assert capsys.readouterr().out == ""
-    assert main(words) == 2
+    assert main(arguments) == 2
     assert "already holds results (fit.json): choose another --out" in capsys.readouterr().err
     assert {path.name: path.read_bytes() for path in place.iterdir()} == before
-    assert main([*words, "--out", str(run)]) == 2  # a run's own directory has a history.csv
+    assert main([*arguments, "--out", str(run)]) == 2  # a run's own directory has a history.csv
 
 
 MISTAKES = {
@@ -512,16 +512,16 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("words", MISTAKES)
+@pytest.mark.parametrize("arguments", MISTAKES)
 def test_a_mistake_is_one_clear_line_and_exit_code_2(
-    words: str, runs: Path, tmp_path: Path, no_pictures: None, capsys: pytest.CaptureFixture[str]
+    arguments: str, runs: Path, tmp_path: Path, no_pictures: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = [] if "--out" in words else ["--out", str(tmp_path / "fit")]
-    assert main([*words.replace("RUN", str(runs / "plane")).split(), *out]) == 2
+    out = [] if "--out" in arguments else ["--out", str(tmp_path / "fit")]
+    assert main([*arguments.replace("RUN", str(runs / "plane")).split(), *out]) == 2
     err = capsys.readouterr().err
     assert len(err.splitlines()) == 1, err
     assert err.startswith("rbfevo.fit: ")
-    assert MISTAKES[words] in err
+    assert MISTAKES[arguments] in err
     assert not (tmp_path / "fit").exists()
 
 
@@ -529,26 +529,26 @@ def test_a_run_that_cannot_be_rebuilt(
     runs: Path, tmp_path: Path, no_pictures: None, capsys: pytest.CaptureFixture[str]
 ) -> None:
     run = shutil.copytree(runs / "face", tmp_path / "run")
-    words = [str(run), "--pick", "knee", "--quiet"]
+    arguments = [str(run), "--pick", "knee", "--quiet"]
     config = run / ".hydra" / "config.yaml"
     honest = config.read_text()
     for wrong, message in (
         (honest.replace("reject: boundary", "reject: none"), "(was a file of the scenario replaced?)"),
-        (honest.replace("subdivisions: 2", "subdivisions: 1"), "other vertices now"),
+        (honest.replace("subdivisions: 2", "subdivisions: 1"), "vertices of the scenario changed since"),
         (honest.replace("subdivisions: 2", "subdivisions: 77"), "1 to 8"),
         (honest.replace("support: 1.0", "support: 0.4"), "support is 1.0 in summary.json and 0.4 in"),
-        (honest.replace("rbfevo.scoring.kernels.wendland", "os.system"), "unknown key; choose one of"),
+        (honest.replace("rbfevo.scoring.kernels.wendland", "os.system"), "there is no such key; choose one of"),
         ("", "is not the configuration of a run"),
         ("- 3\n", "holds no configuration"),
         ("{", "cannot be read"),
     ):
         config.write_text(wrong)
-        assert main(words) == 2
+        assert main(arguments) == 2
         err = capsys.readouterr().err
         assert message in err
         assert len(err.splitlines()) == 1
     config.unlink()
-    assert main(words) == 2
+    assert main(arguments) == 2
     assert "it is needed to build the scenario of this run again" in capsys.readouterr().err
 
 
@@ -573,8 +573,14 @@ def test_a_relative_scan_is_found_from_where_the_run_was_started(
     ball.vertices *= [0.8, 1.0, 0.6]
     ball.export(tmp_path / "scans" / "ball.ply")
     monkeypatch.chdir(tmp_path)
-    words = ["scenario=face", "scenario.scan=scans/ball.ply", "scenario.subdivisions=2", "method=lloyd", "centers=5"]
-    assert run_main([f"hydra.run.dir={tmp_path}/run", *words, "quiet=true", "evaluator=eager"]) == 0
+    arguments = [
+        "scenario=face",
+        "scenario.scan=scans/ball.ply",
+        "scenario.subdivisions=2",
+        "method=lloyd",
+        "centers=5",
+    ]
+    assert run_main([f"hydra.run.dir={tmp_path}/run", *arguments, "quiet=true", "evaluator=eager"]) == 0
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
     assert main(["../run", "--pick", "knee", "--generations", "2", "--quiet"]) == 0
@@ -608,7 +614,7 @@ def test_a_fit_is_drawn_and_can_be_redrawn(
 ) -> None:
     with monkeypatch.context() as patch:
         patch.setattr("rbfevo.figures.draw", lambda _: [])
-        words = [
+        arguments = [
             str(runs / name),
             "--pick",
             "knee",
@@ -620,7 +626,7 @@ def test_a_fit_is_drawn_and_can_be_redrawn(
             str(tmp_path / "fit"),
             "--quiet",
         ]
-        assert main(words) == 0
+        assert main(arguments) == 0
     picture = fit_figure.picture(read_fit(tmp_path / "fit"), opengl=False)
     *panels, bar, curve = picture.axes
     assert [axes.get_title() for axes in panels][2:] == ["fit", "local error and centers"]

@@ -27,8 +27,8 @@ SMALL = ("scenario=plane", "scenario.resolution=[12,12]", "centers=4", "quiet=tr
 NSGA2 = (*SMALL, "method=nsga2", "method.population=8", "method.generations=4")
 
 
-def sweep(directory: Path, *words: str) -> int:
-    return main(["-m", *NSGA2, f"hydra.sweep.dir={directory}", *words])
+def sweep(directory: Path, *arguments: str) -> int:
+    return main(["-m", *NSGA2, f"hydra.sweep.dir={directory}", *arguments])
 
 
 def seeds(directory: Path) -> dict[str, int]:
@@ -56,8 +56,8 @@ def test_figures_may_be_written_in_any_way_that_hydra_knows(figures, made, tmp_p
     collect = "rbfevo.commands.sweep.collect"
     monkeypatch.setattr(collect, lambda directory, quiet: collected.append((directory, quiet)))
     monkeypatch.setattr("rbfevo.figures.draw", lambda run: [])
-    words = [word for word in NSGA2 if not word.startswith(("figures", "quiet"))]
-    assert main(["-m", *words, f"hydra.sweep.dir={tmp_path}", "seed=0", f"figures={figures}", "quiet=True"]) == 0
+    arguments = [word for word in NSGA2 if not word.startswith(("figures", "quiet"))]
+    assert main(["-m", *arguments, f"hydra.sweep.dir={tmp_path}", "seed=0", f"figures={figures}", "quiet=True"]) == 0
     assert collected == ([(tmp_path, True)] if made else [])
 
 
@@ -195,16 +195,16 @@ def test_a_lock_is_held_more_than_once_by_the_same_process(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("launcher", "words"),
+    ("launcher", "arguments"),
     [
         ("joblib", ["hydra.launcher.n_jobs=2"]),
         pytest.param("submitit_local", ["hydra.launcher.cpus_per_task=1"], marks=pytest.mark.slow),
     ],
 )
-def test_launchers_share_the_cores_and_tell_what_failed(launcher, words, tmp_path):
+def test_launchers_share_the_cores_and_tell_what_failed(launcher, arguments, tmp_path):
     pytest.importorskip(f"hydra_plugins.hydra_{launcher.split('_')[0]}_launcher")
     command = [sys.executable, "-m", "rbfevo", "-m", *NSGA2, f"hydra.sweep.dir={tmp_path}", "centers=4,1000"]
-    command += [f"hydra/launcher={launcher}", *words]
+    command += [f"hydra/launcher={launcher}", *arguments]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 2, done.stderr
     assert "1 of 2 jobs failed:" in done.stderr
@@ -234,7 +234,7 @@ def test_a_job_that_ended_without_a_word_is_told_of():
     assert jobs.summary(found) == [
         "1 of 2 jobs failed:",
         "  1 (b=3): its process ended without a result",
-        "start the same sweep again to take up what is not done, and nothing else",
+        "start the same sweep again to run only the jobs that are not done",
     ]
 
 
@@ -242,8 +242,8 @@ def test_a_job_that_ended_without_a_word_is_told_of():
 
 
 def test_a_killed_command_goes_on(tmp_path):
-    words = [*NSGA2, "method.generations=100000", "checkpoint.every=0"]
-    command = [sys.executable, "-m", "rbfevo", *words, f"hydra.run.dir={tmp_path / 'run'}"]
+    arguments = [*NSGA2, "method.generations=100000", "checkpoint.every=0"]
+    command = [sys.executable, "-m", "rbfevo", *arguments, f"hydra.run.dir={tmp_path / 'run'}"]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     process = subprocess.Popen(command, cwd=ROOT, env=environment)
     path = tmp_path / "run" / checkpoint.NAME
@@ -273,7 +273,7 @@ def test_resuming_is_refused_in_one_line_while_the_run_is_on(tmp_path, capsys):
     held.stdout.readline()
     assert main([f"resume={tmp_path}", "method.generations=9"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert "another process is at work on this run" in line
+    assert "another process is working on this run" in line
     held.communicate()
 
 

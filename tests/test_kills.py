@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked and killed here")
 def test_killed_searches_go_on_to_the_same_end(tmp_path):
-    words = [
+    command = [
         sys.executable,
         "-m",
         "benchmarks.kills",
@@ -26,7 +26,7 @@ def test_killed_searches_go_on_to_the_same_end(tmp_path):
         "--output",
         str(tmp_path / "kills.csv"),
     ]
-    done = subprocess.run(words, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
+    done = subprocess.run(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     with (tmp_path / "kills.csv").open() as file:
         reports = list(csv.DictReader(file))

@@ -187,7 +187,7 @@ def test_center_without_vertices_goes_to_the_farthest_vertex():
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"count": 0}, "at least one center, not 0"),
         ({"count": 31}, "31 centers on 30 distinct vertices"),
@@ -197,9 +197,9 @@ def test_center_without_vertices_goes_to_the_farthest_vertex():
         ({"weights": torch.full((60,), torch.nan, dtype=torch.float64)}, "positive"),
     ],
 )
-def test_mistakes_are_answered_with_one_line(change, said):
+def test_mistakes_are_answered_with_one_line(change, message):
     settings = {"vertices": random(30, 2).repeat(2, 1), "count": 3, "generator": seeded()} | change
-    with pytest.raises(UserError, match=said) as caught:
+    with pytest.raises(UserError, match=message) as caught:
         lloyd(**settings)
     assert "\n" not in str(caught.value)
 

@@ -35,7 +35,7 @@ MISTAKES = {
     "manipulation=both": "choose one of direct, indirect",
     "experiment=nope": "choose one of paper",
     "sed=3": "did you mean seed?",
-    "+foo=3": "foo: unknown key; choose one of",
+    "+foo=3": "foo: there is no such key; choose one of",
     "bogus": "bogus",
     "=3": "=3",
     "seed=x": "seed=x: a whole number is expected",
@@ -67,13 +67,13 @@ MISTAKES = {
     "method=cmaes method.generations=-3": "at least 1",
     "method=lloyd method.starts=0": "at least 1",
     "method=ols method.per_axis=1": "at least 2",
-    "kernel.support=0": "must be a positive number",
-    "kernel.support=-1": "must be a positive number",
-    "kernel.support=nan": "must be a positive number",
-    "kernel.support=abc": "must be a positive number",
-    "kernel.support=0%": "must be a positive number",
-    "kernel.support=%": "must be a positive number",
-    "kernel.support=true": "must be a positive number",
+    "kernel.support=0": "give a positive number",
+    "kernel.support=-1": "give a positive number",
+    "kernel.support=nan": "give a positive number",
+    "kernel.support=abc": "give a positive number",
+    "kernel.support=0%": "give a positive number",
+    "kernel.support=%": "give a positive number",
+    "kernel.support=true": "give a positive number",
     "kernel=triharmonic kernel.support=1": "has no support radius",
     "device=tpu": "choose one of auto, cpu, cuda",
     "evaluator=foo": "choose one of auto, fused, eager",
@@ -87,16 +87,16 @@ MISTAKES = {
 }
 
 
-@pytest.mark.parametrize("words", MISTAKES)
+@pytest.mark.parametrize("arguments", MISTAKES)
 def test_a_mistake_is_one_clear_line_and_exit_code_2(
-    words: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    arguments: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    code = main([f"hydra.run.dir={tmp_path}/run", *words.split()])
+    code = main([f"hydra.run.dir={tmp_path}/run", *arguments.split()])
     out, err = capfd.readouterr()
     assert code == 2, err
     assert len(err.strip().splitlines()) == 1, err
     assert err.startswith("rbfevo: ")
-    assert MISTAKES[words] in err
+    assert MISTAKES[arguments] in err
     assert "Traceback" not in out + err
     assert not list(tmp_path.glob("run/*.npz"))
 
@@ -125,20 +125,20 @@ def test_an_output_directory_that_cannot_be_made(tmp_path: Path, capfd: pytest.C
     assert len(err.strip().splitlines()) == 1
 
 
-def run(directory: Path, *words: str) -> dict[str, np.ndarray]:
-    assert main([f"hydra.run.dir={directory}", *SMALL, *words]) == 0
+def run(directory: Path, *overrides: str) -> dict[str, np.ndarray]:
+    assert main([f"hydra.run.dir={directory}", *SMALL, *overrides]) == 0
     with np.load(directory / "setups.npz") as archive:
         return dict(archive)
 
 
 def test_more_elements_than_starts_where_starts_are_not_used(tmp_path: Path) -> None:
-    words = ("method=gradient", "method.population=288", "preference=0", "method.generations=2", "method.polish=1")
-    assert run(tmp_path, *words)["preference"].tolist()[-1] == 0.0
+    arguments = ("method=gradient", "method.population=288", "preference=0", "method.generations=2", "method.polish=1")
+    assert run(tmp_path, *arguments)["preference"].tolist()[-1] == 0.0
 
 
 def test_a_sweep_over_methods_may_have_preferences_that_some_do_not_use(tmp_path: Path) -> None:
-    words = ["method=lloyd,cmaes", "preference=0.3", "checkpoint.every=null"]
-    assert main(["-m", f"hydra.sweep.dir={tmp_path}", *SMALL, *words]) == 0
+    arguments = ["method=lloyd,cmaes", "preference=0.3", "checkpoint.every=null"]
+    assert main(["-m", f"hydra.sweep.dir={tmp_path}", *SMALL, *arguments]) == 0
     found = [json.loads(path.read_text()) for path in tmp_path.glob("*/summary.json")]
     warned = {run["method"]: [w for w in run["warnings"] if "finds the same setups without it" in w] for run in found}
     assert [len(warned["lloyd"]), len(warned["cmaes"])] == [1, 0]
@@ -153,7 +153,7 @@ def test_results_are_never_overwritten(tmp_path: Path, capfd: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize(
-    ("words", "count"),
+    ("arguments", "count"),
     [
         ("method=nsga2 method.generations=3 method.population=8", {"random": 8, "nsga2": 8}),
         ("method=cmaes method.generations=3 method.population=8 method.parents=3", {"random": 8, "cmaes": 1}),
@@ -175,8 +175,8 @@ def test_results_are_never_overwritten(tmp_path: Path, capfd: pytest.CaptureFixt
         ),
     ],
 )
-def test_run_directory_of_every_method(words: str, count: dict[str, int], tmp_path: Path) -> None:
-    table = run(tmp_path, "centers=6", *words.split())
+def test_run_directory_of_every_method(arguments: str, count: dict[str, int], tmp_path: Path) -> None:
+    table = run(tmp_path, "centers=6", *arguments.split())
     assert {name: int((table["method"] == name).sum()) for name in set(table["method"].tolist())} == count
     p = sum(count.values())
     assert table["centers"].shape == (p, 6, 2)
@@ -185,7 +185,7 @@ def test_run_directory_of_every_method(words: str, count: dict[str, int], tmp_pa
     assert table["method"].dtype.kind == "U"
     assert table["nondominated"].dtype == bool
     assert table["nondominated"].any()
-    preferred = ("cmaes", "gradient") if "preference" in words else ("cmaes",)
+    preferred = ("cmaes", "gradient") if "preference" in arguments else ("cmaes",)
     assert (np.isfinite(table["preference"]) == np.isin(table["method"], preferred)).all()
     with (tmp_path / "setups.csv").open() as file:
         lines = list(csv.DictReader(file))
@@ -210,12 +210,22 @@ def test_run_directory_of_every_method(words: str, count: dict[str, int], tmp_pa
 @pytest.mark.parametrize("manipulation", ["indirect", "direct"])
 def test_saved_scores_are_those_of_a_plain_svd(scenario: str, kernel: str, manipulation: str, tmp_path: Path) -> None:
     support = {"plane": 0.5, "face": 1.0}[scenario] * (0.5 if "local" in kernel else 1.0)
-    words = [f"scenario={scenario}", f"kernel={kernel.split()[0]}", f"manipulation={manipulation}"]
-    words += [f"kernel.support={support}"] if "wendland" in kernel else []
-    words += ["scenario.resolution=[40,40]"] if scenario == "plane" else ["scenario.subdivisions=3"]
-    words += ["method.nsga2.generations=20", "method.nsga2.population=20", "method.cmaes.generations=5", "quiet=true"]
-    words += ["preference=[0,0.5,1]", "method.cmaes.population=20", "method.cmaes.parents=5", "method.ols.per_axis=12"]
-    assert main([f"hydra.run.dir={tmp_path}", *words]) == 0
+    arguments = [f"scenario={scenario}", f"kernel={kernel.split()[0]}", f"manipulation={manipulation}"]
+    arguments += [f"kernel.support={support}"] if "wendland" in kernel else []
+    arguments += ["scenario.resolution=[40,40]"] if scenario == "plane" else ["scenario.subdivisions=3"]
+    arguments += [
+        "method.nsga2.generations=20",
+        "method.nsga2.population=20",
+        "method.cmaes.generations=5",
+        "quiet=true",
+    ]
+    arguments += [
+        "preference=[0,0.5,1]",
+        "method.cmaes.population=20",
+        "method.cmaes.parents=5",
+        "method.ols.per_axis=12",
+    ]
+    assert main([f"hydra.run.dir={tmp_path}", *arguments]) == 0
     with np.load(tmp_path / "setups.npz") as setups, np.load(tmp_path / "scenario.npz") as files:
         C, R, P, V = (setups[key] for key in ("centers", "regularity", "improvement_potential", "variability"))
         X, g, w = (files[key] for key in ("vertices", "gradient", "weights"))
@@ -244,41 +254,41 @@ def test_saved_scores_are_those_of_a_plain_svd(scenario: str, kernel: str, manip
 
 
 def test_the_same_seed_twice_gives_the_same_result_and_another_one_does_not(tmp_path: Path) -> None:
-    words = ["method.nsga2.generations=4", "method.cmaes.generations=3", "preference=[0.2,0.8]", "centers=5"]
-    first, second = (run(tmp_path / name, *words) for name in ("a", "b"))
-    other = run(tmp_path / "c", *words, "seed=1")
+    arguments = ["method.nsga2.generations=4", "method.cmaes.generations=3", "preference=[0.2,0.8]", "centers=5"]
+    first, second = (run(tmp_path / name, *arguments) for name in ("a", "b"))
+    other = run(tmp_path / "c", *arguments, "seed=1")
     for name in first:
         np.testing.assert_array_equal(first[name], second[name])
     assert not np.array_equal(first["centers"], other["centers"])
 
 
 def test_a_list_of_preferences_is_the_same_as_one_after_the_other(tmp_path: Path) -> None:
-    words = ["method=cmaes", "method.generations=4", "centers=4"]
-    batch = run(tmp_path / "batch", *words, "preference=[0.3,0.7]")
-    single = run(tmp_path / "single", *words, "preference=0.7")
+    arguments = ["method=cmaes", "method.generations=4", "centers=4"]
+    batch = run(tmp_path / "batch", *arguments, "preference=[0.3,0.7]")
+    single = run(tmp_path / "single", *arguments, "preference=0.7")
     np.testing.assert_allclose(batch["centers"][-1], single["centers"][-1], atol=1e-9)
 
 
 def test_a_sweep_goes_on_after_a_failed_job(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    words = ["-m", f"hydra.sweep.dir={tmp_path}", *SMALL, "method=cmaes", "method.generations=2", "centers=4"]
-    assert main([*words, "preference=0,2,0.2", "seed=0,1"]) == 2
+    arguments = ["-m", f"hydra.sweep.dir={tmp_path}", *SMALL, "method=cmaes", "method.generations=2", "centers=4"]
+    assert main([*arguments, "preference=0,2,0.2", "seed=0,1"]) == 2
     assert len(list(tmp_path.glob("*/setups.npz"))) == 4
     assert capfd.readouterr().err.count("rbfevo: ") == 2
 
 
 def test_a_sweep_over_the_preference_grid(tmp_path: Path) -> None:
-    words = ["-m", f"hydra.sweep.dir={tmp_path}", *SMALL, "method=cmaes", "method.generations=2", "centers=4"]
-    assert main([*words, "preference=0,0.1,0.2", "seed=0,1"]) == 0
+    arguments = ["-m", f"hydra.sweep.dir={tmp_path}", *SMALL, "method=cmaes", "method.generations=2", "centers=4"]
+    assert main([*arguments, "preference=0,0.1,0.2", "seed=0,1"]) == 0
     tables = [np.load(path) for path in sorted(tmp_path.glob("*/setups.npz"))]
     assert sorted(float(table["preference"][-1]) for table in tables) == [0.0, 0.0, 0.1, 0.1, 0.2, 0.2]
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_run_keeps_what_it_found(number: signal.Signals, code: int, tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "rbfevo", f"hydra.run.dir={tmp_path}/run", "method=nsga2", "centers=4"]
-    words += ["method.generations=1000000", "scenario.resolution=[12,12]", "evaluator=eager"]
+    command = [sys.executable, "-m", "rbfevo", f"hydra.run.dir={tmp_path}/run", "method=nsga2", "centers=4"]
+    command += ["method.generations=1000000", "scenario.resolution=[12,12]", "evaluator=eager"]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    with subprocess.Popen(words, cwd=ROOT, env=environment, stdout=subprocess.PIPE) as process:
+    with subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         for line in process.stdout:  # the first line of progress: the search is on its way
             if line.startswith(b"nsga2 "):

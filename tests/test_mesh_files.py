@@ -440,17 +440,17 @@ REFUSED: dict[str, tuple[bytes, str]] = {
 def test_what_cannot_be_read_whole_is_refused_in_one_line(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    content, said = REFUSED[name]
+    content, message = REFUSED[name]
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(UserError) as caught:
         read_template(path)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert str(caught.value).startswith(f"{path}: ")
     if name != "line.obj":  # a curve has points to move
         assert report.main([str(path)]) == 2
         err = capsys.readouterr().err
-        assert said in err
+        assert message in err
         assert len(err.splitlines()) == 1
 
 
@@ -630,9 +630,9 @@ def test_the_report_is_right_for_people_and_programs(tmp_path: Path, capsys: pyt
     assert found["cell_arrays"]["force"] == {"components": 3, "lowest": 0.0, "highest": 11.0, "not_finite": 0}
     assert found["notes"]["volume mesh"].startswith("the boundary of 4 voxels is taken, 16 faces")
     assert report.main([str(tmp_path / "a.vtu")]) == 0
-    said = capsys.readouterr().out
-    assert "surface: 18 vertices, 32 triangles, 1 piece, area 16, volume 4" in said
-    assert "  heat: 0 to 16, 1 rows not finite" in said
+    output = capsys.readouterr().out
+    assert "surface: 18 vertices, 32 triangles, 1 piece, area 16, volume 4" in output
+    assert "  heat: 0 to 16, 1 rows not finite" in output
     assert report.main([str(tmp_path / "gone.vtu")]) == 2
     assert "no such file" in capsys.readouterr().err
 

@@ -465,12 +465,13 @@ def test_what_other_libraries_write_is_the_mesh_that_was_drawn(
     @settings(max_examples=MESHES, phases=[Phase.generate], suppress_health_check=[HealthCheck.too_slow])
     @given(mesh=drawn(writer.corners, writer.odd))
     def trial(mesh: Drawn) -> None:
-        check(name, mesh, tmp_path_factory.mktemp("drawn"))
+        check_written_mesh(name, mesh, tmp_path_factory.mktemp("drawn"))
 
     trial()
 
 
-def check(name: str, mesh: Drawn, folder: Path) -> None:
+def check_written_mesh(name: str, mesh: Drawn, folder: Path) -> None:
+    """Write a mesh by another library, read it, deform and write it again, and compare with what was drawn."""
     writer = WRITERS[name]
     path = folder / f"a{writer.ending}"
     writer.write(path, mesh)

@@ -45,10 +45,10 @@ ODD = [  # each has been a mistake of this program, of Hydra or of OmegaConf
 NAMES = st.text(st.sampled_from(SIGNS), min_size=1, max_size=12).filter(lambda name: name.strip() == name)
 
 
-def composed(*words: str) -> str:
+def composed(*arguments: str) -> str:
     """The template that words give, after Hydra's parser, its composition and OmegaConf's resolution."""
     with overrides.initialized(CONF):
-        config = hydra.compose("config", overrides=["scenario=mesh", *words])
+        config = hydra.compose("config", overrides=["scenario=mesh", *arguments])
     return OmegaConf.to_container(config, resolve=True)["scenario"]["template"]  # type: ignore[index,call-overload]
 
 
@@ -61,7 +61,7 @@ def with_names(test):
 
 @with_names
 def test_a_name_that_the_program_writes_comes_back(name: str) -> None:
-    word = names.word("scenario.template", name)
+    word = names.override("scenario.template", name)
     (parsed,) = OverridesParser.create().parse_overrides([word])
     value = OmegaConf.create({"name": parsed.value()})["name"]
     assert str(value).removeprefix("./") == name.removeprefix("./")
@@ -132,8 +132,8 @@ def test_a_comma_separates_names_in_a_sweep_alone(value: str, parts: list[str] |
 
 
 def test_boxes_and_nothing_stay_what_they_are() -> None:
-    words = ["scenario.fixed=[0,0,0,1,1,1]", "scenario.scan=null", "seed=1,2"]
-    assert names.quoted(words, ROOTS) == words
+    arguments = ["scenario.fixed=[0,0,0,1,1,1]", "scenario.scan=null", "seed=1,2"]
+    assert names.quoted(arguments, ROOTS) == arguments
     assert names.given(["hydra.run.dir=outputs/${now:%Y}", "hydra.run.dir='a b'"], "hydra.run.dir") == ["a b"]
 
 
@@ -154,9 +154,9 @@ def test_odd_run_directories_hold_a_run_that_can_be_resumed(
     directory: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    words = ["scenario.resolution=[12,12]", "centers=3", "evaluator=eager", "figures=false", "quiet=true"]
-    words += ["method=nsga2", "method.population=6", "method.generations=2"]
-    assert main([*words, f"hydra.run.dir={directory}"]) == 0
+    arguments = ["scenario.resolution=[12,12]", "centers=3", "evaluator=eager", "figures=false", "quiet=true"]
+    arguments += ["method=nsga2", "method.population=6", "method.generations=2"]
+    assert main([*arguments, f"hydra.run.dir={directory}"]) == 0
     with np.load(tmp_path / directory / "setups.npz") as archive:
         assert archive["centers"].shape[1:] == (3, 2)
     assert main([f"resume={directory}", "method.generations=3"]) == 0

@@ -281,7 +281,7 @@ def test_candidates_fill_the_box_to_its_ends(d):
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"count": 0}, "at least one center, not 0"),
         ({"count": 13}, "13 centers from 12 candidates"),
@@ -289,10 +289,10 @@ def test_candidates_fill_the_box_to_its_ends(d):
         ({"gradient": torch.full((40, 1), torch.nan, dtype=torch.float64)}, "finite"),
     ],
 )
-def test_mistakes_are_answered_with_one_line(change, said):
+def test_mistakes_are_answered_with_one_line(change, message):
     columns, candidates = looked_up(normal(40, 12))
     settings = {"gradient": normal(40, 1, seed=1), "count": 2} | change
-    with pytest.raises(UserError, match=said) as caught:
+    with pytest.raises(UserError, match=message) as caught:
         ols(columns, candidates, **settings)
     assert "\n" not in str(caught.value)
 

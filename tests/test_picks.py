@@ -58,7 +58,7 @@ def test_a_preference_picks_the_best_of_equation_9(preference: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("choice", "message"),
     [
         ("index:7", "choose one from 0 to 6"),
         ("index:-1", "choose one from 0 to 6"),
@@ -74,9 +74,9 @@ def test_a_preference_picks_the_best_of_equation_9(preference: float) -> None:
         ("", "choose one of"),
     ],
 )
-def test_a_pick_that_does_not_exist_is_one_line_with_what_there_is(words: str, message: str) -> None:
+def test_a_pick_that_does_not_exist_is_one_line_with_what_there_is(choice: str, message: str) -> None:
     with pytest.raises(UserError, match=message) as error:
-        pick(FOUND, words)
+        pick(FOUND, choice)
     assert "\n" not in str(error.value)
 
 

@@ -27,14 +27,14 @@ SMALL = ["scenario=plane", "scenario.resolution=[20,20]", "centers=6", "figures=
 SEARCH = ["method=gradient", "method.starts=16", "method.population=16", "method.generations=10", "method.front=10"]
 
 
-def python(*words: str) -> subprocess.CompletedProcess[str]:
+def python(*arguments: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(PLUGGED)])}
-    command = [sys.executable, "-m", *words]
+    command = [sys.executable, "-m", *arguments]
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
 
 
-def run(directory: Path, *words: str) -> Path:
-    made = python("rbfevo", f"hydra.searchpath=[file://{PLUGGED}]", *SMALL, *words, f"hydra.run.dir={directory}")
+def run(directory: Path, *overrides: str) -> Path:
+    made = python("rbfevo", f"hydra.searchpath=[file://{PLUGGED}]", *SMALL, *overrides, f"hydra.run.dir={directory}")
     assert made.returncode == 0, made.stdout + made.stderr
     return directory
 
@@ -95,10 +95,10 @@ def test_scores_in_a_representation_from_outside_are_those_of_its_columns(modes:
 def test_export_and_apply_know_what_a_kernel_from_outside_does(gaussian: Path, tmp_path: Path) -> None:
     assert python("rbfevo.export", str(gaussian), "--pick", "knee", "--out", str(tmp_path / "e")).returncode == 0
     saved = np.load(tmp_path / "e" / "setup.npz")
-    words = [str(gaussian), "--pick", "knee", "--mesh", str(tmp_path / "e" / "template.vtp")]
+    arguments = [str(gaussian), "--pick", "knee", "--mesh", str(tmp_path / "e" / "template.vtp")]
     for what in ("displacements", "weights"):
         out = tmp_path / f"{what}.vtp"
-        done = python("rbfevo.apply", *words, f"--{what}", str(tmp_path / "e" / f"{what}.csv"), "--out", str(out))
+        done = python("rbfevo.apply", *arguments, f"--{what}", str(tmp_path / "e" / f"{what}.csv"), "--out", str(out))
         assert done.returncode == 0, done.stderr
     import pyvista
 
@@ -113,10 +113,10 @@ def test_export_and_apply_know_what_a_kernel_from_outside_does(gaussian: Path, t
 def test_what_a_representation_from_outside_does_not_offer_is_refused_in_a_line(modes: Path, tmp_path: Path) -> None:
     exported = python("rbfevo.export", str(modes), "--pick", "knee", "--out", str(tmp_path / "e"))
     assert exported.returncode == 0, exported.stderr
-    assert "left out: displacements.csv: the control points of representation=modes are not moved" in exported.stdout
-    words = [str(modes), "--pick", "knee", "--mesh", str(tmp_path / "e" / "template.vtp")]
+    assert "left out: displacements.csv: the control points of representation=modes cannot be moved" in exported.stdout
+    arguments = [str(modes), "--pick", "knee", "--mesh", str(tmp_path / "e" / "template.vtp")]
     weights = ["--weights", str(tmp_path / "e" / "weights.csv")]
-    assert python("rbfevo.apply", *words, *weights, "--out", str(tmp_path / "moved.vtp")).returncode == 0
+    assert python("rbfevo.apply", *arguments, *weights, "--out", str(tmp_path / "moved.vtp")).returncode == 0
     fitted = python("rbfevo.fit", str(modes), "--pick", "knee")
     assert (fitted.returncode, fitted.stderr.count("\n")) == (2, 1)
     assert "only setups of centers" in fitted.stderr
@@ -144,15 +144,15 @@ def test_figures_and_the_page_are_drawn_of_plugged_in_runs(gaussian: Path, modes
         assert {"front.png", "centers.png", "report.html"} <= {path.name for path in directory.iterdir()}
         page = (directory / "report.html").read_text(encoding="utf-8")
         (content,) = re.findall(r'<script type="application/json" id="content">(.*?)</script>', page, re.DOTALL)
-        told = json.loads(content)["runs"][0]
-        assert told["formula"] is None
+        entry = json.loads(content)["runs"][0]
+        assert entry["formula"] is None
         import base64
 
         record = read(directory)
-        left = np.frombuffer(base64.b64decode(told["embedded"]["left"]), "<f4")
-        left = left.reshape(len(told["embedded"]["rows"]), len(record.vertices), 1)
-        for place, one in zip(told["embedded"]["rows"], left, strict=True):
-            row = told["rows"][place]
+        left = np.frombuffer(base64.b64decode(entry["embedded"]["left"]), "<f4")
+        left = left.reshape(len(entry["embedded"]["rows"]), len(record.vertices), 1)
+        for place, one in zip(entry["embedded"]["rows"], left, strict=True):
+            row = entry["rows"][place]
             assert 1.0 - float((one.astype(float) ** 2).sum()) == pytest.approx(
                 record.improvement_potential[row], abs=1e-5
             )

@@ -395,12 +395,12 @@ N = 6
 
 @given(st.lists(st.lists(st.one_of(rows, nan_rows), min_size=N, max_size=N), min_size=2, max_size=4), st.integers(0, 9))
 @settings(max_examples=40)
-def test_selection_keeps_no_failure_while_there_are_enough_others(told: list[list[Row]], seed: int) -> None:
+def test_selection_keeps_no_failure_while_there_are_enough_others(generations: list[list[Row]], seed: int) -> None:
     lower, upper = torch.zeros(2, dtype=torch.float64), torch.ones(2, dtype=torch.float64)
     generator = torch.Generator().manual_seed(seed)
     nsga2 = NSGA2(torch.rand(N, 2, dtype=torch.float64, generator=generator), lower, upper, generator=generator)
     sound = 0
-    for generation in told:
+    for generation in generations:
         asked = nsga2.ask()
         assert ((asked >= lower) & (asked <= upper)).all()
         before = nsga2.objectives
@@ -426,7 +426,9 @@ fitness = st.one_of(few, st.sampled_from([NAN, INF, -INF, *HARD]))
 @example([[1.0, *[-1.0] * 5], [0.5, *[-1.0] * 5]], True, True)  # the best was told before
 @example([[HUGE, -HUGE, INF, -INF, NAN, 0.0]] * 8, True, False)
 @settings(max_examples=50)
-def test_no_fitness_breaks_cmaes_or_moves_the_element_beside(told: list[list[float]], covariance: bool, bounded: bool):
+def test_no_fitness_breaks_cmaes_or_moves_the_element_beside(
+    rounds: list[list[float]], covariance: bool, bounded: bool
+):
     D = 3
 
     def started() -> CMAES:
@@ -437,7 +439,7 @@ def test_no_fitness_breaks_cmaes_or_moves_the_element_beside(told: list[list[flo
         return CMAES(mean, 0.3, *bounds, generators=generators, parents=2, offspring=6, covariance=covariance)
 
     tried, calm = started(), started()
-    for values in told:
+    for values in rounds:
         x, y = tried.ask(), calm.ask()
         assert torch.equal(x[1], y[1])
         assert x.isfinite().all()
@@ -453,7 +455,7 @@ def test_no_fitness_breaks_cmaes_or_moves_the_element_beside(told: list[list[flo
         if isinstance(value, Tensor) and name != "best_fitness":
             assert value.isfinite().all(), name
     assert not tried.best_fitness.isnan().any()
-    above = [value for values in told for value in values if not math.isnan(value)]
+    above = [value for values in rounds for value in values if not math.isnan(value)]
     assert float(tried.best_fitness[0]) == max([-INF, *above])
     for name, value in calm.state_dict().items():
         if isinstance(value, Tensor):

@@ -1,4 +1,4 @@
-"""What report.html is told and how it is put together; that it works in a browser is in test_report_page.py."""
+"""The content of report.html and how it is put together; that it works in a browser is in test_report_page.py."""
 
 import base64
 import html.parser
@@ -48,8 +48,8 @@ class Parts(html.parser.HTMLParser):
             self.scripts[self._script] = self.scripts.get(self._script, "") + data
 
 
-def told(run: Path) -> dict[str, Any]:
-    """What the page of a run is told."""
+def page_content(run: Path) -> dict[str, Any]:
+    """The content that the page of a run embeds."""
     return json.loads(Parts(page(read(run), run)).scripts["content"])
 
 
@@ -69,7 +69,7 @@ def test_a_page_fetches_nothing(tmp_path):
 
 @pytest.mark.parametrize("d", [2, 3])
 def test_numbers_arrive_as_they_are(tmp_path, d):
-    record, seen = read(write(tmp_path, d=d)), told(tmp_path)
+    record, seen = read(write(tmp_path, d=d)), page_content(tmp_path)
     run, mesh = seen["runs"][0], seen["meshes"][0]
     assert np.array_equal(numbers(run["centers"]).reshape(record.centers.shape), record.centers)
     assert np.array_equal(numbers(run["regularity"]), record.regularity)
@@ -82,9 +82,9 @@ def test_numbers_arrive_as_they_are(tmp_path, d):
 
 
 def test_weights_are_told_where_they_differ(tmp_path):
-    assert told(write(tmp_path / "one"))["meshes"][0]["weights"] is None
+    assert page_content(write(tmp_path / "one"))["meshes"][0]["weights"] is None
     record = read(write(tmp_path / "two", uniform=False))
-    assert np.array_equal(numbers(told(tmp_path / "two")["meshes"][0]["weights"]), record.weights)
+    assert np.array_equal(numbers(page_content(tmp_path / "two")["meshes"][0]["weights"]), record.weights)
 
 
 def test_setups_without_scores_or_centers_are_left_out(tmp_path):
@@ -94,7 +94,7 @@ def test_setups_without_scores_or_centers_are_left_out(tmp_path):
         return values
 
     change(write(tmp_path), regularity=holed)
-    assert told(tmp_path)["runs"][0]["rows"] == [row for row in range(24) if row not in (1, 5)]
+    assert page_content(tmp_path)["runs"][0]["rows"] == [row for row in range(24) if row not in (1, 5)]
 
 
 def test_a_run_without_usable_setups_has_no_page(tmp_path):
@@ -106,7 +106,7 @@ def test_a_run_without_usable_setups_has_no_page(tmp_path):
 @pytest.mark.parametrize("text", ["</script><b>", "<!--<script>", "{{plotly}}", "\u2028 é 漢", "\\"])
 def test_words_of_a_run_cannot_break_the_page(tmp_path, text):
     write(tmp_path, notes={"a": text}, warnings=[text], stop_reason=text)
-    seen = told(tmp_path)["runs"][0]["made"]
+    seen = page_content(tmp_path)["runs"][0]["made"]
     assert (seen["notes"]["a"], seen["warnings"][0], seen["facts"]["stopped by"]) == (text, text, text)
 
 
@@ -115,15 +115,15 @@ def test_the_command_of_a_run_can_be_pasted_into_a_shell(tmp_path):
     (tmp_path / ".hydra" / "overrides.yaml").write_text(
         "- scenario=plane\n- 'preference=[0, 0.5]'\n- scenario.scan='a b.obj'\n"
     )
-    command = told(tmp_path)["runs"][0]["made"]["command"]
+    command = page_content(tmp_path)["runs"][0]["made"]["command"]
     script = "import sys; print(sys.argv[1:])"
-    words = subprocess.run(
+    printed = subprocess.run(
         ["bash", "-c", command.replace("python -m rbfevo", f"{sys.executable} -c '{script}'")],
         capture_output=True,
         text=True,
         check=True,
     )
-    assert words.stdout.strip() == "['scenario=plane', 'preference=[0, 0.5]', \"scenario.scan='a b.obj'\"]"
+    assert printed.stdout.strip() == "['scenario=plane', 'preference=[0, 0.5]', \"scenario.scan='a b.obj'\"]"
 
 
 @pytest.mark.parametrize("wrong", ["no: list", "- [", None])
@@ -132,11 +132,11 @@ def test_a_run_that_does_not_tell_its_command_has_a_page(tmp_path, wrong):
     if wrong is not None:
         (tmp_path / ".hydra").mkdir()
         (tmp_path / ".hydra" / "overrides.yaml").write_text(wrong)
-    assert told(tmp_path)["runs"][0]["made"]["command"] is None
+    assert page_content(tmp_path)["runs"][0]["made"]["command"] is None
 
 
 def test_an_unknown_kernel_has_a_page_of_centers(tmp_path):
-    run = told(_renamed(tmp_path))["runs"][0]
+    run = page_content(_renamed(tmp_path))["runs"][0]
     assert run["known"] is False
     assert len(run["rows"]) == 24
 
@@ -155,7 +155,7 @@ def test_centers_near_a_symmetry_plane_are_put_on_it(tmp_path):
         return centers
 
     change(write(tmp_path, d=3, symmetry={"axis": "y", "at": 0.0}), centers=near)
-    run = told(tmp_path)["runs"][0]
+    run = page_content(tmp_path)["runs"][0]
     centers = numbers(run["centers"]).reshape(24, 6, 3)
     assert run["mirror"] == {"axis": 1, "at": 0.0}
     assert (centers[:, 0, 1] == 0).all()
@@ -259,7 +259,7 @@ def many(run: Path, copies: int, m: int = 6) -> Path:
 
 def test_of_too_many_setups_dominated_ones_are_left_out(tmp_path):
     record = read(many(tmp_path, 250))
-    seen = told(tmp_path)
+    seen = page_content(tmp_path)
     rows = np.array(seen["runs"][0]["rows"])
     assert 3000 < len(rows) <= 4100
     assert set(np.flatnonzero(record.nondominated)) <= set(rows)

@@ -154,14 +154,14 @@ def test_what_a_setup_leaves_is_what_numpy_says(everything, name):
             " return [Array.from(found.left), found.potential]; }",
             [name, row],
         )
-        rest = record.gradient - reached(record, row)
-        expected = 1 - (record.weights[:, None] * rest**2).sum()
+        residual = record.gradient - reached(record, row)
+        expected = 1 - (record.weights[:, None] * residual**2).sum()
         close = 1e-6 if name == "spoiled" else 1e-9  # two centers 1e-9 apart are told apart by rounding alone
-        assert np.abs(np.reshape(left, rest.shape) - rest).max() < close
+        assert np.abs(np.reshape(left, residual.shape) - residual).max() < close
         assert potential == pytest.approx(expected, abs=close)
 
 
-def told(page: Page, scores: Any, act: str) -> Any:
+def evaluated(page: Page, scores: Any, act: str) -> Any:
     """What the page's own functions make of setups with these scores [p, 2]."""
     return page.evaluate(
         "([scores, flags]) => {"
@@ -180,23 +180,23 @@ def test_picks_are_those_of_the_command_line(page, run_of, digits):
         record = dataclasses.replace(
             read(run_of("sphere")), regularity=scores[:, 0], improvement_potential=scores[:, 1], nondominated=front
         )
-        assert told(page, scores, "rbfevo.kneeOf(front).index") == pick(record, "knee")
-        assert told(page, scores, "front.map((setup) => setup.index)") == record.front.tolist()
-        for words, order in (("best-regularity", "'R', 'P'"), ("best-improvement-potential", "'P', 'R'")):
-            assert told(page, scores, f"rbfevo.bestOf(setups, {order}).index") == pick(record, words)
+        assert evaluated(page, scores, "rbfevo.kneeOf(front).index") == pick(record, "knee")
+        assert evaluated(page, scores, "front.map((setup) => setup.index)") == record.front.tolist()
+        for criterion, order in (("best-regularity", "'R', 'P'"), ("best-improvement-potential", "'P', 'R'")):
+            assert evaluated(page, scores, f"rbfevo.bestOf(setups, {order}).index") == pick(record, criterion)
         for preference in (0.0, 0.3, 0.5, 0.81, 1.0):
-            found = told(page, scores, f"rbfevo.preferred(setups, {preference}).index")
+            found = evaluated(page, scores, f"rbfevo.preferred(setups, {preference}).index")
             assert found == pick(record, f"preference:{preference}")
 
 
 def test_preferences_of_a_setup_are_those_that_choose_it(page):
     scores = np.random.default_rng(5).uniform(size=(24, 2))
-    ranges = told(page, scores, "setups.map((setup) => rbfevo.preferencesOf(setup, setups))")
+    ranges = evaluated(page, scores, "setups.map((setup) => rbfevo.preferencesOf(setup, setups))")
     assert sum(found is not None for found in ranges) > 2
     for row, found in enumerate(ranges):
         if found is not None:
             for preference in (0.99 * found[0] + 0.01 * found[1], 0.01 * found[0] + 0.99 * found[1]):
-                assert told(page, scores, f"rbfevo.preferred(setups, {preference}).index") == row
+                assert evaluated(page, scores, f"rbfevo.preferred(setups, {preference}).index") == row
 
 
 def test_the_slider_walks_along_the_whole_front(page, run_of):
@@ -231,7 +231,7 @@ def test_the_slider_says_where_none_of_its_places_leads_to_a_setup(page, run_of)
 @pytest.mark.parametrize("digits", [1, 16])
 def test_the_page_of_a_sweep_finds_the_front_itself(page, digits):
     scores = np.round(np.random.default_rng(0).uniform(size=(60, 2)), digits)
-    found = told(page, scores, "rbfevo.nondominated(setups).map((setup) => setup.index)")
+    found = evaluated(page, scores, "rbfevo.nondominated(setups).map((setup) => setup.index)")
     assert found == np.flatnonzero(pareto.nondominated(torch.tensor(scores)).numpy()).tolist()
 
 
@@ -265,12 +265,17 @@ def test_a_click_on_a_setup_shows_its_centers(page, run_of):
 def test_the_arrow_keys_walk_along_the_front(page, run_of):
     front = read(run_of("sphere")).front.tolist()
     page.keyboard.press("p")
+    visited = [chosen(page)]
     for row in front[1:]:
         page.keyboard.press("ArrowRight")
         wait_for_row(page, row)
+        visited.append(chosen(page))
+    assert visited == front
     page.keyboard.press("ArrowRight")
+    assert chosen(page) == front[-1]
     page.keyboard.press("ArrowLeft")
     wait_for_row(page, front[-2])
+    assert chosen(page) == front[-2]
 
 
 def test_the_slider_moves_by_the_keyboard(page):
@@ -330,7 +335,8 @@ def test_a_button_that_copies_has_its_words_back(page):
     for _ in range(2):
         page.click("#copy-bibtex")
     page.wait_for_function("() => document.getElementById('copy-bibtex').textContent === 'Copied'")
-    page.wait_for_function("() => document.getElementById('copy-bibtex').textContent === 'Copy'")
+    page.wait_for_function("() => document.getElementById('copy-bibtex').textContent !== 'Copied'")
+    assert page.text_content("#copy-bibtex") == "Copy"
 
 
 def test_a_choice_is_told_to_those_who_listen(page):
@@ -506,9 +512,9 @@ def test_a_row_of_the_table_is_chosen_by_click_and_by_key(page):
 def test_words_tell_what_the_scores_mean(page, run_of):
     record = read(run_of("sphere"))
     row = chosen(page)
-    words = page.text_content("#cards") or ""
-    assert f"{100 * record.improvement_potential[row]:.3g} % of the wanted displacement" in words
-    assert f"up to {1 / record.regularity[row]:.3g} times" in words
+    text = page.text_content("#cards") or ""
+    assert f"{100 * record.improvement_potential[row]:.3g} % of the wanted displacement" in text
+    assert f"up to {1 / record.regularity[row]:.3g} times" in text
     assert f"--pick index:{row}" in (page.text_content("#next") or "")
 
 
@@ -565,14 +571,14 @@ def test_the_slider_goes_with_the_setups_that_are_swapped(page):
 def test_an_unknown_kernel_still_shows_its_centers(odd):
     odd.keyboard.press("e")
     settled(odd)
-    assert "not known" in (odd.text_content("#view-hint") or "")
+    assert "does not hold the residual" in (odd.text_content("#view-hint") or "")
     assert red(picture(odd, "#space-a")) > 100
 
 
 def test_how_the_run_was_made_is_told(odd):
-    words = odd.text_content("#made") or ""
-    for told in ("python -m rbfevo scenario=plane seed=3", "car <b>.stl</b>", "Warning: too small", "torch 2.13.0"):
-        assert told in words
+    text = odd.text_content("#made") or ""
+    for expected in ("python -m rbfevo scenario=plane seed=3", "car <b>.stl</b>", "Warning: too small", "torch 2.13.0"):
+        assert expected in text
 
 
 def test_a_single_setup_has_a_page(browser, tmp_path):

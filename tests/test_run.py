@@ -56,7 +56,7 @@ def test_a_heuristic_that_cannot_work_does_not_sink_the_panel(tmp_path: Path, mo
     monkeypatch.setattr("rbfevo.methods.ols.ols", refuse)
     assert run.carry_out(settings("panel"), tmp_path) == 0
     assert set(table(tmp_path)["method"].tolist()) == {"random", "nsga2", "cmaes", "lloyd"}
-    assert "ols was left out: no candidate is usable" in (tmp_path / "summary.json").read_text()
+    assert "ols was skipped: no candidate is usable" in (tmp_path / "summary.json").read_text()
 
 
 def test_what_was_found_before_an_error_is_written(tmp_path: Path, monkeypatch) -> None:
@@ -76,10 +76,10 @@ def test_an_interruption_ends_the_run_after_the_step(
     before = signal.getsignal(number)
     step = run.Method.records
 
-    def interrupted(self, generation: int, *rest):
+    def interrupted(self, generation: int, *arguments):
         if self.name == "nsga2" and generation == 2:
             signal.raise_signal(number)
-        return step(self, generation, *rest)
+        return step(self, generation, *arguments)
 
     monkeypatch.setattr(run.Method, "records", interrupted)
     assert run.carry_out(settings("panel"), tmp_path) == code

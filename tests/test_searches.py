@@ -273,11 +273,11 @@ def test_a_climb_is_given_the_gradients_of_its_values(
     assert float(side.max() / side.min()) > 1.5
     shape, generator = stage._climb.points.shape, torch.Generator().manual_seed(4)
     stage._climb._trial = torch.rand(*shape, generator=generator, dtype=torch.float64)  # on both sides, in the region
-    told: list[tuple[Tensor, Tensor]] = []
-    monkeypatch.setattr(stage._climb, "tell", lambda values, slopes: told.append((values, slopes)))
+    calls: list[tuple[Tensor, Tensor]] = []
+    monkeypatch.setattr(stage._climb, "tell", lambda values, slopes: calls.append((values, slopes)))
     monkeypatch.setattr(stage._climb, "revalue", lambda: None)
     stage.step()
-    ((values, slopes),) = told
+    ((values, slopes),) = calls
 
     def value(points: Tensor) -> Tensor:
         coarse = stage._problem

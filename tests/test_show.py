@@ -163,8 +163,8 @@ def test_h_shows_and_hides_the_keys_and_other_keys_do_nothing(state):
 
 
 def test_every_key_is_told(state):
-    told = {key for keys, _ in KEYS for key in keys.split()}
-    assert told == {*scene.NAMED, "Left", "Right", *"cxetvsh", "q", "Escape"}
+    documented = {key for keys, _ in KEYS for key in keys.split()}
+    assert documented == {*scene.NAMED, "Left", "Right", *"cxetvsh", "q", "Escape"}
 
 
 def test_titles_tell_what_a_setup_is_best_at_its_row_and_its_scores(state, record):
@@ -188,8 +188,8 @@ def test_what_a_run_does_not_tell_is_refused(tmp_path, settings, colours, shapes
         "colour": ["wanted", *colours],
         "shape": ["template", *(["reached", "wanted"] if shapes is None else shapes)],
     }
-    for option, words in (("colour", COLOURS), ("shape", SHAPES)):
-        for word in words:
+    for option, valid in (("colour", COLOURS), ("shape", SHAPES)):
+        for word in valid:
             choices: dict[str, Any] = {option: word}
             if word in possible[option]:
                 State(record, "knee", **choices)
@@ -357,10 +357,10 @@ def drawn(monkeypatch) -> list[list[str]]:
     """The commands of child processes, which are noted and not run; pictures are a PNG's text."""
     commands: list[list[str]] = []
 
-    def attempt(words: list[str], timeout: float) -> tuple[int, str]:
-        commands.append(words)
-        if "--out" in words:
-            Path(words[words.index("--out") + 1]).write_bytes(f"tEXtSoftware\0{SOFTWARE}".encode())
+    def attempt(arguments: list[str], timeout: float) -> tuple[int, str]:
+        commands.append(arguments)
+        if "--out" in arguments:
+            Path(arguments[arguments.index("--out") + 1]).write_bytes(f"tEXtSoftware\0{SOFTWARE}".encode())
         return 0, ""
 
     monkeypatch.setattr(processes, "attempt", attempt)
@@ -377,9 +377,9 @@ def complaint(capsys, arguments: list[str], code: int = 2) -> str:
 @pytest.mark.usefixtures("pictures")  # skips where nothing can be rendered
 def test_without_a_display_a_picture_is_written(a_copy, capsys):
     assert show.main([str(a_copy)]) == 0
-    said = capsys.readouterr()
-    assert said.err == ""
-    first, title, last = said.out.splitlines()
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    first, title, last = captured.out.splitlines()
     assert "there is no display" in first
     assert title.startswith("knee, ")
     assert last == f"written: {a_copy / 'show-knee.png'}"
@@ -487,10 +487,10 @@ from rbfevo.recorded.record import read
 run = Path(sys.argv[1])
 state = State(read(run), "index:9")
 window = Window(run, state.record, state, off_screen=False)
-show, told = window.plotter.show, {}
+show, values = window.plotter.show, {}
 window.plotter.show = lambda **options: show(**options | {"auto_close": False, "interactive_update": True})
 window.open()
-told["start"] = state.row
+values["start"] = state.row
 inner = window.plotter.iren.interactor
 def press(key):
     inner.SetKeySym(key)
@@ -501,19 +501,19 @@ camera = window.plotter.renderers[1].camera
 before = camera.position, camera.parallel_scale
 for key in ("k", "r", "p", "w", "e", "s", "f", "3", "i", "v", "Up"):
     press(key)
-    told[key] = state.row
-told["camera stays"] = before == (camera.position, camera.parallel_scale)
-told["wireframe"] = window._panels[0].surface.prop.style
-told["colour"], told["done"] = state.colour, bool(inner.GetDone())
+    values[key] = state.row
+values["camera stays"] = before == (camera.position, camera.parallel_scale)
+values["wireframe"] = window._panels[0].surface.prop.style
+values["colour"], values["done"] = state.colour, bool(inner.GetDone())
 slider = window.plotter.slider_widgets[0]
-told["slider"] = bool(slider.GetEnabled())
+values["slider"] = bool(slider.GetEnabled())
 slider.GetRepresentation().SetValue(1.0)
 slider.InvokeEvent("InteractionEvent")
-told["slid"] = state.row
+values["slid"] = state.row
 press("Escape")
-told["closed"] = bool(inner.GetDone())
+values["closed"] = bool(inner.GetDone())
 window.plotter.close()
-print(json.dumps(told))
+print(json.dumps(values))
 """
 
 
@@ -527,12 +527,12 @@ def display() -> str:
 
 def test_keys_and_slider_change_the_window_and_do_nothing_else(display, a_copy, record):
     done = child(PRESSES, str(a_copy))
-    told = json.loads(done.stdout.splitlines()[-1])
+    values = json.loads(done.stdout.splitlines()[-1])
     knee, R, P = (pick(record, name) for name in scene.NAMED.values())
-    assert [told[key] for key in ("start", "k", "r", "p", "w", "e")] == [9, knee, R, P, P, P]
-    assert told["camera stays"]
-    assert told["wireframe"] == "Surface"
-    assert (told["colour"], told["done"], told["slider"]) == ("left", False, True)
-    assert told["slid"] == R
-    assert told["closed"]
+    assert [values[key] for key in ("start", "k", "r", "p", "w", "e")] == [9, knee, R, P, P, P]
+    assert values["camera stays"]
+    assert values["wireframe"] == "Surface"
+    assert (values["colour"], values["done"], values["slider"]) == ("left", False, True)
+    assert values["slid"] == R
+    assert values["closed"]
     assert (a_copy / f"show-row-{P}.png").exists()

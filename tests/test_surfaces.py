@@ -209,7 +209,7 @@ def test_empty_surface(tmp_path, name, content):
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "reason"),
     [
         ("nan.xyz", "0 0 nan\n1 2 3\ninf 0 0\n4 4 4\n", "2 of 4 points have coordinates that are not finite"),
         ("nan.obj", "v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n", "1 of 3 points have coordinates that are not finite"),
@@ -230,8 +230,8 @@ def test_empty_surface(tmp_path, name, content):
         ("box.vtk", "# vtk DataFile Version 3.0\nx\nASCII\nDATASET FIELD\n", "damaged"),
     ],
 )
-def test_bad_content(tmp_path, capfd, name, content, said):
-    assert said in message(write(tmp_path, name, content))
+def test_bad_content(tmp_path, capfd, name, content, reason):
+    assert reason in message(write(tmp_path, name, content))
     assert capfd.readouterr() == ("", "")
 
 
@@ -262,7 +262,8 @@ def saved_ball(path: Path, form: str) -> bytes:
 def test_files_cut_off(tmp_path, ending, form):
     whole = saved_ball(tmp_path / f"ball.{ending}", form)
     for part in (0.2, 0.9):
-        message(write(tmp_path, f"part.{ending}", whole[: int(part * len(whole))]))
+        text = message(write(tmp_path, f"part.{ending}", whole[: int(part * len(whole))]))
+        assert f"not a readable {ending.upper()} file (" in text
 
 
 SEEDS = {name: SQUARES[name].encode() for name in ("ply", "obj", "off")} | {
@@ -273,7 +274,8 @@ SEEDS = {name: SQUARES[name].encode() for name in ("ply", "obj", "off")} | {
 }
 
 
-def accept_or_refuse(path: Path) -> None:
+def check_accepted_or_refused(path: Path) -> None:
+    """Assert that a file is either read as a valid surface or refused in one line."""
     try:
         vertices, triangles = read_surface(path)
     except UserError as error:
@@ -293,7 +295,7 @@ def accept_or_refuse(path: Path) -> None:
 @settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(ending=st.sampled_from(sorted(SEEDS)), content=st.binary(min_size=1, max_size=300))
 def test_any_bytes(tmp_path, ending, content):
-    accept_or_refuse(write(tmp_path, f"any.{ending}", content))
+    check_accepted_or_refused(write(tmp_path, f"any.{ending}", content))
 
 
 @settings(
@@ -310,7 +312,7 @@ def test_any_bytes(tmp_path, ending, content):
 def test_damaged_files(tmp_path, ending, place, cut, put):
     whole = SEEDS[ending]
     start = int(place * len(whole))
-    accept_or_refuse(write(tmp_path, f"damaged.{ending}", whole[:start] + put + whole[start + cut :]))
+    check_accepted_or_refused(write(tmp_path, f"damaged.{ending}", whole[:start] + put + whole[start + cut :]))
 
 
 # cleaning and placing

@@ -42,9 +42,22 @@ def a_run(
     run: Path, R: Any = (0.5,), P: Any = (0.5,), *, series: Any = None, config: Any = None, scale=1.0, **summary
 ) -> Path:
     """Write a run directory of setups with chosen scores; `config` are dotted keys of .hydra/config.yaml, if given."""
-    told = {"scenario": "plane", "kernel": "wendland", "support": 0.5, "manipulation": "indirect", "method": "gradient"}
-    told |= {"seed": 0, "evaluations": 100, "failed_evaluations": 1, "seconds": 2.5, "stop_reason": "budget", **summary}
-    told = {key: value for key, value in told.items() if value != "absent"}
+    content = {
+        "scenario": "plane",
+        "kernel": "wendland",
+        "support": 0.5,
+        "manipulation": "indirect",
+        "method": "gradient",
+    }
+    content |= {
+        "seed": 0,
+        "evaluations": 100,
+        "failed_evaluations": 1,
+        "seconds": 2.5,
+        "stop_reason": "budget",
+        **summary,
+    }
+    content = {key: value for key, value in content.items() if value != "absent"}
     R, P = np.array(R, dtype=float), np.array(P, dtype=float)
     run.mkdir(parents=True)
     as_good = (R[:, None] >= R) & (P[:, None] >= P) & ((R[:, None] > R) | (P[:, None] > P))
@@ -53,13 +66,13 @@ def a_run(
         centers=np.full((len(R), 3, 2), 0.5),
         regularity=R,
         improvement_potential=P,
-        method=np.array(series or [told.get("method")] * len(R), dtype=np.str_),
+        method=np.array(series or [content.get("method")] * len(R), dtype=np.str_),
         preference=np.full(len(R), NAN),
         nondominated=~as_good.any(axis=0) & np.isfinite(R + P),
     )
     mesh = {"vertices": scale * VERTICES, "faces": np.array([[0, 1, 2], [1, 3, 2]]), "weights": np.ones(4)}
     np.savez(run / "scenario.npz", **mesh, gradient=np.full((4, 1), 0.5), lower=np.zeros(2), upper=np.array([1.0, 2.0]))
-    (run / "summary.json").write_text(json.dumps(told))
+    (run / "summary.json").write_text(json.dumps(content))
     if config is not None:
         (run / ".hydra").mkdir()
         made = OmegaConf.create(CONFIG)
@@ -135,10 +148,10 @@ def test_runs_that_cannot_be_read_are_told_with_the_reason(tmp_path):
     members, unread = sweep.members(tmp_path)
     assert [member.name for member in members] == ["0"]
     expected = {"1: ": "scenario.npz is missing", "2: ": "summary.json cannot be read", "3: ": "config.yaml cannot be"}
-    for line, (start, words) in zip(unread, [*expected.items(), ("4: ", "has no results")], strict=True):
+    for line, (start, reason) in zip(unread, [*expected.items(), ("4: ", "has no results")], strict=True):
         assert "\n" not in line
         assert line.startswith(start)
-        assert words in line
+        assert reason in line
 
 
 def test_a_sweep_of_which_nothing_can_be_read_is_a_mistake(tmp_path):
@@ -401,7 +414,7 @@ def test_the_tables_have_a_column_for_each_setting_that_varies(tmp_path):
 # --- which is best ---------------------------------------------------------------------------------------------------
 
 
-def said(directory: Path, start: str) -> str:
+def sentence(directory: Path, start: str) -> str:
     """The one sentence that begins so."""
     (sentence,) = [line for line in sweep.best(sweep.groups(collected(directory))) if line.startswith(start)]
     return sentence.removeprefix(start)
@@ -415,7 +428,7 @@ def several(directory: Path, areas: Any, **settings: Any) -> None:
 def test_a_lead_is_clear_where_each_run_is_ahead_of_each_of_theirs(tmp_path):
     several(tmp_path / "a", [0.20, 0.22, 0.24, 0.26, 0.28], manipulation="direct")
     several(tmp_path / "b", [0.10, 0.12, 0.14, 0.16, 0.19])
-    assert said(tmp_path, "best hypervolume: ") == (
+    assert sentence(tmp_path, "best hypervolume: ") == (
         "direct: median 0.24 (quartiles 0.22 to 0.26, 5 seeds); next indirect with 0.14; "
         "the lead is clear: each of its runs is ahead of each of theirs"
     )
@@ -424,27 +437,27 @@ def test_a_lead_is_clear_where_each_run_is_ahead_of_each_of_theirs(tmp_path):
 def test_a_lead_is_not_clear_where_runs_overlap(tmp_path):
     several(tmp_path / "a", [0.20, 0.22, 0.24, 0.26, 0.28], manipulation="direct")
     several(tmp_path / "b", [0.10, 0.12, 0.14, 0.16, 0.201])
-    assert said(tmp_path, "best hypervolume: ").endswith("the lead is not clear: their runs overlap")
+    assert sentence(tmp_path, "best hypervolume: ").endswith("the lead is not clear: their runs overlap")
 
 
 @pytest.mark.parametrize("seeds", [2, 3, 4])
 def test_few_seeds_prove_no_lead(tmp_path, seeds):
     several(tmp_path / "a", [0.9] * seeds, manipulation="direct")
     several(tmp_path / "b", [0.1] * seeds)
-    assert said(tmp_path, "best hypervolume: ").endswith(f"{seeds} seeds cannot prove the lead, 5 or more could")
+    assert sentence(tmp_path, "best hypervolume: ").endswith(f"{seeds} seeds cannot prove the lead, 5 or more could")
 
 
 def test_a_manipulation_does_not_lead_in_improvement_potential(tmp_path):
     for number, (manipulation, P) in enumerate([("direct", 0.7), ("indirect", 0.6)]):
         a_run(tmp_path / str(number), [0.5], [P], manipulation=manipulation)
-    told = said(tmp_path, "best improvement potential: ")
-    assert told == "direct: 0.7 (1 seed); next indirect with 0.6, by chance: P does not depend on the manipulation"
+    text = sentence(tmp_path, "best improvement potential: ")
+    assert text == "direct: 0.7 (1 seed); next indirect with 0.6, by chance: P does not depend on the manipulation"
 
 
 def test_one_seed_shows_no_spread(tmp_path):
     several(tmp_path / "a", [0.25], manipulation="direct")
     several(tmp_path / "b", [0.16])
-    assert said(tmp_path, "best regularity: ") == (
+    assert sentence(tmp_path, "best regularity: ") == (
         "direct: 0.5 (1 seed); next indirect with 0.4; 1 seed cannot prove the lead, 5 or more could"
     )
 
@@ -452,8 +465,8 @@ def test_one_seed_shows_no_spread(tmp_path):
 def test_what_is_equal_is_level(tmp_path):
     a_run(tmp_path / "0", [0.5], [0.7], manipulation="direct")
     a_run(tmp_path / "1", [0.4], [0.7 * (1 + 1e-14)])
-    told = said(tmp_path, "best improvement potential: ")
-    assert told in ("direct: 0.7 (1 seed); tied with it: indirect", "indirect: 0.7 (1 seed); tied with it: direct")
+    found = sentence(tmp_path, "best improvement potential: ")
+    assert found in ("direct: 0.7 (1 seed); tied with it: indirect", "indirect: 0.7 (1 seed); tied with it: direct")
 
 
 def test_a_single_group_has_nothing_to_be_compared_with(tmp_path):
@@ -469,9 +482,9 @@ def test_settings_are_compared_in_pairs_that_differ_in_nothing_else(tmp_path):
     for (manipulation, sigma), area in areas.items():
         config = {"scenario.margin": sigma}
         square(tmp_path / f"{manipulation}{sigma}", area, manipulation=manipulation, config=config)
-    told = said(tmp_path, "manipulation, by median hypervolume: ")
-    assert told == "direct beats indirect in 2 of 3 pairs, by a median factor of 1.25"
-    assert said(tmp_path, "scenario.margin, by median hypervolume: ").startswith("6 beats 3 in the only pair, by")
+    text = sentence(tmp_path, "manipulation, by median hypervolume: ")
+    assert text == "direct beats indirect in 2 of 3 pairs, by a median factor of 1.25"
+    assert sentence(tmp_path, "scenario.margin, by median hypervolume: ").startswith("6 beats 3 in the only pair, by")
 
 
 def test_the_winner_of_a_comparison_need_not_hold_the_best_run(tmp_path):
@@ -479,8 +492,8 @@ def test_the_winner_of_a_comparison_need_not_hold_the_best_run(tmp_path):
     for manipulation, margin, area in areas:
         config = {"scenario.margin": margin}
         square(tmp_path / f"{manipulation}{margin}", area, manipulation=manipulation, config=config)
-    told = said(tmp_path, "manipulation, by median hypervolume: ")
-    assert told == "indirect beats direct in 2 of 3 pairs, by a median factor of 2"
+    text = sentence(tmp_path, "manipulation, by median hypervolume: ")
+    assert text == "indirect beats direct in 2 of 3 pairs, by a median factor of 2"
 
 
 def test_a_comparison_without_a_winner_says_so(tmp_path):
@@ -492,16 +505,16 @@ def test_a_comparison_without_a_winner_says_so(tmp_path):
     ]:
         config = {"scenario.margin": margin}
         square(tmp_path / f"{manipulation}{margin}", area, manipulation=manipulation, config=config)
-    told = said(tmp_path, "manipulation, by median hypervolume: ")
-    assert " is not clearly ahead of " in told
-    assert "(ahead in 1 of 2 pairs, a median factor of 1.08)" in told
+    text = sentence(tmp_path, "manipulation, by median hypervolume: ")
+    assert " is not clearly ahead of " in text
+    assert "(ahead in 1 of 2 pairs, a median factor of 1.08)" in text
 
 
 def test_a_kernel_is_compared_with_its_radius(tmp_path):
     square(tmp_path / "0", 0.2, support=0.5, config={})
     square(tmp_path / "1", 0.4, support=0.25, config={"kernel.support": "10%"})
     square(tmp_path / "2", 0.1, kernel="triharmonic", support=None, config={})
-    assert said(tmp_path, "kernel and support, by median hypervolume: ") == (
+    assert sentence(tmp_path, "kernel and support, by median hypervolume: ") == (
         "wendland, support 0.25 (10%) beats wendland, support 0.5 in the only pair, by a factor of 2; "
         "beats triharmonic in the only pair, by a factor of 4; "
         "that is the smallest radius tried: try a smaller one too"
@@ -511,37 +524,37 @@ def test_a_kernel_is_compared_with_its_radius(tmp_path):
 def test_radii_that_look_alike_are_told_apart(tmp_path):
     square(tmp_path / "0", 0.2, support=0.500001)
     square(tmp_path / "1", 0.4, support=0.500002)
-    told = said(tmp_path, "support, by median hypervolume: ")
-    assert told.startswith("0.5 beats 0.5 in the only pair, by a factor of 2; that is the largest radius tried")
+    text = sentence(tmp_path, "support, by median hypervolume: ")
+    assert text.startswith("0.5 beats 0.5 in the only pair, by a factor of 2; that is the largest radius tried")
 
 
 def test_what_goes_together_cannot_be_told_apart(tmp_path):
     square(tmp_path / "0", 0.2, manipulation="direct")
     square(tmp_path / "1", 0.1, kernel="triharmonic", support=None)
     for key in ("kernel", "manipulation"):
-        assert said(tmp_path, f"{key}: ").startswith("no two groups differ in this alone")
+        assert sentence(tmp_path, f"{key}: ").startswith("no two groups differ in this alone")
 
 
 def test_random_setups_lead_nothing_and_are_a_baseline_of_methods(tmp_path):
     square(tmp_path / "0", 0.81, method="random")
     square(tmp_path / "1", 0.25, method="gradient")
     square(tmp_path / "2", 0.16, method="nsga2")
-    assert said(tmp_path, "best hypervolume: ").startswith("gradient: 0.25 (1 seed); next nsga2 with 0.16")
-    told = said(tmp_path, "method, by median hypervolume: ")
-    assert told.startswith("gradient loses to random in the only pair, by a factor of 3.24; beats nsga2")
+    assert sentence(tmp_path, "best hypervolume: ").startswith("gradient: 0.25 (1 seed); next nsga2 with 0.16")
+    text = sentence(tmp_path, "method, by median hypervolume: ")
+    assert text.startswith("gradient loses to random in the only pair, by a factor of 3.24; beats nsga2")
 
 
 def test_random_setups_are_compared_where_there_is_nothing_else(tmp_path):
     square(tmp_path / "0", 0.81, method="random", manipulation="direct")
     square(tmp_path / "1", 0.25, method="random")
-    assert said(tmp_path, "best hypervolume: ").startswith("direct: 0.81 (1 seed); next indirect with 0.25")
-    assert said(tmp_path, "manipulation, by median hypervolume: ").startswith("direct beats indirect")
+    assert sentence(tmp_path, "best hypervolume: ").startswith("direct: 0.81 (1 seed); next indirect with 0.25")
+    assert sentence(tmp_path, "manipulation, by median hypervolume: ").startswith("direct beats indirect")
 
 
 def test_random_rows_of_a_search_count_as_its_own(tmp_path):
     a_run(tmp_path / "0", [0.9, 0.5], [0.1, 0.5], series=["random", "gradient"], manipulation="direct")
     a_run(tmp_path / "1", [0.6], [0.6])
-    assert said(tmp_path, "best regularity: ").startswith("direct: 0.9 (1 seed); next indirect with 0.6")
+    assert sentence(tmp_path, "best regularity: ").startswith("direct: 0.9 (1 seed); next indirect with 0.6")
 
 
 def test_the_searches_of_a_panel_are_compared_with_each_other(tmp_path):
@@ -556,16 +569,18 @@ def test_the_searches_of_a_panel_are_compared_with_each_other(tmp_path):
             manipulation=manipulation,
             seed=seed,
         )
-    assert said(tmp_path, "best regularity: ") == (
+    assert sentence(tmp_path, "best regularity: ") == (
         "direct, lloyd: median 0.875 (quartiles 0.875 to 0.875, 2 seeds); next indirect, lloyd with 0.75; "
         "2 seeds cannot prove the lead, 5 or more could"
     )
-    assert said(tmp_path, "best hypervolume: ").startswith("direct, nsga2: median 0.3438 (")
-    assert said(tmp_path, "series, by median hypervolume: ") == (
+    assert sentence(tmp_path, "best hypervolume: ").startswith("direct, nsga2: median 0.3438 (")
+    assert sentence(tmp_path, "series, by median hypervolume: ") == (
         "nsga2 beats lloyd in 2 of 2 pairs, by a median factor of 3.4 "
         "(lloyd: only one setup per run, which by itself has little hypervolume)"
     )
-    assert said(tmp_path, "manipulation, by median hypervolume: ").startswith("direct beats indirect in the only pair")
+    assert sentence(tmp_path, "manipulation, by median hypervolume: ").startswith(
+        "direct beats indirect in the only pair"
+    )
 
 
 def test_each_mesh_has_sentences_of_its_own(tmp_path):
@@ -583,5 +598,5 @@ def test_each_mesh_has_sentences_of_its_own(tmp_path):
 def test_scores_that_are_all_missing_or_zero_lead_nothing(tmp_path):
     a_run(tmp_path / "0", [NAN], [NAN], manipulation="direct")
     a_run(tmp_path / "1", [0.0], [0.5])
-    assert said(tmp_path, "best regularity: ") == "0 (1 seed)"
-    assert said(tmp_path, "manipulation, by median hypervolume: ") == "direct is tied with indirect"
+    assert sentence(tmp_path, "best regularity: ") == "0 (1 seed)"
+    assert sentence(tmp_path, "manipulation, by median hypervolume: ") == "direct is tied with indirect"

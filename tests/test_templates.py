@@ -102,8 +102,8 @@ def area(template: Template) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2.0)
 
 
-def check(template: Template) -> None:
-    """What holds of every template, whatever file it came from."""
+def check_template(template: Template) -> None:
+    """Assert what holds for every template, whatever its file."""
     n = len(template.vertices)
     assert template.vertices.dtype == np.float64
     assert template.triangles.dtype == template.rows.dtype == np.int64
@@ -129,7 +129,7 @@ def check(template: Template) -> None:
 def test_written_by_trimesh(tmp_path, ending):
     BALL.export(tmp_path / f"ball.{ending}")
     template = read_template(tmp_path / f"ball.{ending}")
-    check(template)
+    check_template(template)
     np.testing.assert_allclose(template.vertices, VERTICES, atol=1e-6)
     np.testing.assert_array_equal(template.triangles, TRIANGLES)
     assert (template.count, template.notes, template.arrays) == (42, {}, {})
@@ -138,7 +138,7 @@ def test_written_by_trimesh(tmp_path, ending):
 def test_stl_is_merged_in_order_of_appearance(tmp_path):
     BALL.export(tmp_path / "ball.stl")
     template = read_template(tmp_path / "ball.stl")
-    check(template)
+    check_template(template)
     assert template.notes == {"merged vertices": "240 points of the STL file, equal ones merged: 42 vertices"}
     assert template.count == 42
     soup, order = VERTICES.astype(np.float32)[TRIANGLES].reshape(-1, 3).tolist(), []
@@ -163,7 +163,7 @@ def test_vtk_with_arrays(tmp_path, here, ending, binary):
     path = tmp_path / f"ball.{ending}"
     (mesh.cast_to_unstructured_grid() if ending == "vtu" else mesh).save(path, binary=binary)
     template = read_template(path)
-    check(template)
+    check_template(template)
     np.testing.assert_array_equal(template.triangles, TRIANGLES)
     np.testing.assert_allclose(template.vertices, VERTICES, atol=1e-12)
     assert set(template.arrays) >= {"heat", "count", "flow", "other"}
@@ -181,7 +181,7 @@ def test_what_meshio_reads(tmp_path, here, ending):
     else:
         write_meshio(path, VERTICES, [("triangle", TRIANGLES)], **({"heat": HEAT} if keeps else {}))
     template = read_template(path)
-    check(template)
+    check_template(template)
     np.testing.assert_allclose(template.vertices, VERTICES, atol=1e-6)
     np.testing.assert_array_equal(template.triangles, TRIANGLES)
     assert template.count == 42
@@ -209,7 +209,7 @@ def test_ply_properties(tmp_path, form):
         faces["s"] = [5, 6]
         body = rows.tobytes() + faces.tobytes()
     template = read_template(write(tmp_path, "square.ply", head.encode() + body))
-    check(template)
+    check_template(template)
     np.testing.assert_array_equal(template.vertices, SQUARE)
     assert set(template.arrays) == {"u", "v", "red", "heat"}
     np.testing.assert_array_equal(template.arrays["heat"], [0.5, -1, 2, 1e-3])
@@ -248,7 +248,7 @@ def test_polygons_of_any_size(tmp_path, here, form):
             flat = [number for face in MIXED for number in (len(face), *face)]
             pyvista.PolyData(HEXAGON, np.array(flat)).save(path)
     template = read_template(path)
-    check(template)
+    check_template(template)
     assert len(template.triangles) == 4 + 1 + 2
     np.testing.assert_array_equal(template.vertices, HEXAGON[:7])
     assert template.count == 8
@@ -278,7 +278,7 @@ f 1/2/1 3/2/1 4/1/1
 
 def test_obj_keeps_its_vertices_whatever_its_materials_and_seams(tmp_path):
     template = read_template(write(tmp_path, "two.obj", OBJ))
-    check(template)
+    check_template(template)
     np.testing.assert_array_equal(template.vertices, SQUARE)
     assert sorted(template.triangles.tolist()) == [[0, 1, 2], [0, 2, 3]]
     assert template.count == 5
@@ -310,7 +310,7 @@ def test_cells_of_vtu(tmp_path, here, kind, cell, area_):
     template = read_template(
         write_vtk(tmp_path / "a.vtu", {kind: [cell], 3: [[0, 8]]}, np.concatenate([SQUARE, middles]))
     )
-    check(template)
+    check_template(template)
     assert area(template) == pytest.approx(area_)
     normals = np.cross(*np.moveaxis(np.diff(template.vertices[template.triangles], axis=1), 1, 0))
     assert (normals[:, 2] > 0.0).all()
@@ -325,7 +325,7 @@ def test_second_order_cells_of_gmsh(tmp_path, here, name, cell):
     middles = [[1.0, 0, 0], [2, 1, 0], [1, 2, 0], [0, 1, 0], [1, 1, 0]]
     path = write_meshio(tmp_path / "a.msh", np.concatenate([SQUARE, middles]), [(name, np.array([list(cell)]))])
     template = read_template(path)
-    check(template)
+    check_template(template)
     assert area(template) == pytest.approx(2.0 if name == "triangle6" else 4.0)
     assert template.notes["second-order cells"].startswith("1 curved cells are taken by their corners")
 
@@ -340,8 +340,8 @@ def test_coordinate_systems_of_nastran(tmp_path, here):
     quad = np.array([[0, 1, 2, 3]])
     assert read_template(write(tmp_path, "a.bdf", nastran(SQUARE, quad, "CQUAD4"))).notes == {}
     assert read_template(write(tmp_path, "b.bdf", nastran(SQUARE, quad, "CQUAD4", "0"))).notes == {}
-    said = refusal(write(tmp_path, "c.bdf", nastran(SQUARE, quad, "CQUAD4", "7")))
-    assert "4 of its 4 GRID points lie in coordinate systems of their own (CP)" in said
+    message = refusal(write(tmp_path, "c.bdf", nastran(SQUARE, quad, "CQUAD4", "7")))
+    assert "4 of its 4 GRID points lie in coordinate systems of their own (CP)" in message
 
 
 # what is left out, and said
@@ -353,7 +353,7 @@ def test_triangles_without_area_and_unused_points(tmp_path, here):
     cells = np.array([[0, 1, 2], [0, 4, 1], [0, 0, 3], [0, 2, 3], [2, 3, 0], [0, 3, 6], [0, 3, 2]])
     path = write_vtk(tmp_path / "a.vtu", {5: cells.tolist()}, points, heat=np.arange(8.0))
     template = read_template(path)
-    check(template)
+    check_template(template)
     assert template.triangles.tolist() == [[0, 1, 2], [0, 2, 3], [0, 3, 2]]
     assert template.rows.tolist() == [0, 1, 2, 3]
     assert template.arrays["heat"].tolist() == [0, 1, 2, 3]
@@ -380,7 +380,7 @@ def test_any_unit(tmp_path, here, size):
 def test_coincident_vertices_count_by_themselves(tmp_path, here):
     points, cells = np.concatenate([SQUARE, SQUARE[:2] - [0.0, 0.0, 0.0]]), [[0, 1, 2], [4, 2, 3], [5, 4, 3]]
     template = read_template(write_vtk(tmp_path / "a.vtu", {5: cells}, points))
-    check(template)
+    check_template(template)
     assert template.count == len(template.vertices) == 6
     assert template.notes == {"coincident vertices": "2 vertices coincide with others; each is counted separately"}
 
@@ -399,7 +399,7 @@ def test_the_boundary_of_a_volume_mesh(tmp_path, here, ending):
     points = np.concatenate([TETRA, [[2.0, 2, 2]], box])
     cells = {10: [[0, 1, 2, 3], [1, 4, 2, 3]], 12: [list(range(5, 13))], 5: [[0, 2, 1]]}
     template = read_template(write_vtk(tmp_path / f"a.{ending}", cells, points))
-    check(template)
+    check_template(template)
     assert template.notes["volume mesh"] == "the boundary of 2 tetrahedra, 1 hexahedra is taken, 12 faces"
     assert len(template.triangles) == 6 + 12
     a, b, c = np.moveaxis(template.vertices[template.triangles], 1, 0)
@@ -425,7 +425,7 @@ def test_clouds(tmp_path, here):
 
 
 @pytest.mark.parametrize(
-    ("points", "cells", "said"),
+    ("points", "cells", "message"),
     [
         ([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], "none of its 1 triangles has any area"),
         ([[0.0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 1]], "none of its 1 triangles has any area"),
@@ -435,14 +435,14 @@ def test_clouds(tmp_path, here):
         ([[0.0, 0, 0], [1, 0, 0], [0, 1e101, 0]], [[0, 1, 2]], "check the file's units"),
     ],
 )
-def test_no_usable_surface(tmp_path, here, points, cells, said):
-    assert said in refusal(write_vtk(tmp_path / "a.vtu", {5: cells}, np.array(points)))
+def test_no_usable_surface(tmp_path, here, points, cells, message):
+    assert message in refusal(write_vtk(tmp_path / "a.vtu", {5: cells}, np.array(points)))
 
 
 def test_missing_package_is_named(tmp_path, here):
     if importlib.util.find_spec("h5py") is None:
-        said = refusal(write(tmp_path, "a.med", "x"))
-        assert "meshio needs h5py for this format: pip install h5py" in said
+        message = refusal(write(tmp_path, "a.med", "x"))
+        assert "meshio needs h5py for this format: pip install h5py" in message
 
 
 def test_parts_of_abaqus(tmp_path, here):
@@ -454,7 +454,7 @@ def test_parts_of_abaqus(tmp_path, here):
 def test_a_reader_that_never_ends(tmp_path, monkeypatch):
     monkeypatch.setattr(foreign, "PATIENCE", 1.0)
     path = write(tmp_path, "a.msh", "(0 grid)\n(10 (1 1 4 1 3)(\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n")
-    assert "meshio comes to no end with it in 1 s" in refusal(path)
+    assert "meshio did not finish reading within 1 s" in refusal(path)
 
 
 def test_unreadable_files(tmp_path):
@@ -531,19 +531,20 @@ def answered(paths: list[Path]) -> None:
         assert len(left) < len(before)
 
 
-def accept_or_refuse(path: Path) -> bool:
+def check_accepted_or_refused(path: Path) -> bool:
+    """Assert that a file is either read as a valid template or refused in one line; return whether it was read."""
     try:
         template = read_template(path)
     except UserError as error:
         if "\n" in str(error) or not str(error).startswith(f"{path}: "):
             raise AssertionError(f"not one clear line: {error}") from None
         return False
-    check(template)
+    check_template(template)
     return True
 
 
-def batch(folder: Path, files: list[tuple[str, bytes]]) -> int:
-    """Read many files, each as `read_template` does; return how many were accepted."""
+def check_batch(folder: Path, files: list[tuple[str, bytes]]) -> int:
+    """Check many files, each read as `read_template` reads it; return how many were accepted."""
     paths = [write(folder, f"{k} {name}", content) for k, (name, content) in enumerate(files)]
     answered(paths)
 
@@ -560,14 +561,14 @@ def batch(folder: Path, files: list[tuple[str, bytes]]) -> int:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(foreign, "foreign", read)
-        accepted = sum(accept_or_refuse(path) for path in paths)
+        accepted = sum(check_accepted_or_refused(path) for path in paths)
     for path in folder.iterdir():
         path.unlink()
     return accepted
 
 
 def test_the_seeds_are_sound(tmp_path, sound):
-    assert batch(tmp_path, list(sound.items())) == len(sound)
+    assert check_batch(tmp_path, list(sound.items())) == len(sound)
 
 
 PUT = st.one_of(st.binary(max_size=8), st.sampled_from([b"-1", b"9", b"99999999999", b"nan", b"inf", b"1e300", b"\n"]))
@@ -587,14 +588,14 @@ def damaged(sound: dict[str, bytes], many: list[tuple[int, float, int, bytes]]) 
 @settings(max_examples=2, suppress_health_check=QUIET, phases=[Phase.generate])
 @given(many=st.lists(DAMAGE, min_size=100, max_size=100))
 def test_damaged_files(tmp_path, sound, many):
-    batch(tmp_path, damaged(sound, many))
+    check_batch(tmp_path, damaged(sound, many))
 
 
 @pytest.mark.slow
 @settings(max_examples=30, suppress_health_check=QUIET)
 @given(many=st.lists(DAMAGE, min_size=200, max_size=200))
 def test_many_more_damaged_files(tmp_path, sound, many):
-    batch(tmp_path, damaged(sound, many))
+    check_batch(tmp_path, damaged(sound, many))
 
 
 @pytest.mark.slow
@@ -602,12 +603,12 @@ def test_many_more_damaged_files(tmp_path, sound, many):
 @given(contents=st.lists(st.binary(min_size=1, max_size=200), min_size=80, max_size=80))
 def test_any_bytes_under_any_ending(tmp_path, contents):
     endings = sorted(ENDINGS)
-    batch(tmp_path, [(f"any{endings[k % len(endings)]}", content) for k, content in enumerate(contents)])
+    check_batch(tmp_path, [(f"any{endings[k % len(endings)]}", content) for k, content in enumerate(contents)])
 
 
 @settings(max_examples=12, suppress_health_check=QUIET)
 @given(damage=DAMAGE, raw=st.one_of(st.none(), st.binary(min_size=1, max_size=100)))
 def test_nothing_is_printed(tmp_path, capfd, sound, damage, raw):
     ((name, content),) = damaged(sound, [damage])
-    accept_or_refuse(write(tmp_path, name, content if raw is None else raw))
+    check_accepted_or_refused(write(tmp_path, name, content if raw is None else raw))
     assert capfd.readouterr() == ("", "")

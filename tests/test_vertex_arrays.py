@@ -144,9 +144,9 @@ def test_a_row_for_each_vertex_is_enough(tmp_path):
 
 
 def test_unknown_name():
-    said = refusal("presure")
-    assert "did you mean 'pressure'?" in said
-    assert all(name in said for name in ("hole", "normals", "uv", "stress"))
+    message = refusal("presure")
+    assert "did you mean 'pressure'?" in message
+    assert all(name in message for name in ("hole", "normals", "uv", "stress"))
     assert "did you mean" not in refusal("quite something else")
     assert "it has no point arrays" in refusal("pressure", of=template(arrays={}))
 
@@ -252,7 +252,7 @@ def test_a_named_array_is_checked_as_well():
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "said"),
+    ("name", "content", "message"),
     [
         ("short.csv", lines("", VALUES[:3]), "it has 3 rows, but the mesh has 5 points (4 of them in triangles)"),
         ("long.npy", np.zeros((6, 3)), "it has 6 rows, but the mesh has 5 points"),
@@ -282,8 +282,8 @@ def test_a_named_array_is_checked_as_well():
         ("text.npz", "no archive", "not a readable NPZ file (File is not a zip file)"),
     ],
 )
-def test_bad_tables(tmp_path, capfd, name, content, said):
-    assert said in refusal(write(tmp_path, name, content))
+def test_bad_tables(tmp_path, capfd, name, content, message):
+    assert message in refusal(write(tmp_path, name, content))
     assert capfd.readouterr() == ("", "")
 
 

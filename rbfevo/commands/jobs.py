@@ -59,7 +59,7 @@ def begin(sweep: Path) -> Path:
     return place
 
 
-def tell(outcome: Outcome) -> None:
+def save(outcome: Outcome) -> None:
     """Save the outcome of a job."""
     place = Path(os.environ[START])
     place.mkdir(parents=True, exist_ok=True)

@@ -66,7 +66,7 @@ def recorded(run: Path, others: Sequence[str]) -> list[str]:
         raise UserError(f"{run / CHECKPOINT} does not hold the overrides of the run; start a new run")
     changed = {_key(override) for override in others}
     kept = [override for override in saved if _key(override) not in changed]
-    return [*kept, *others, names.word("hydra.run.dir", run)]
+    return [*kept, *others, names.override("hydra.run.dir", run)]
 
 
 def _key(override: str) -> str:

@@ -32,7 +32,7 @@ def job(config: DictConfig) -> None:
     current, composition = HydraConfig.get(), Composition.current()
     sweep = Path(composition.cwd, current.sweep.dir)
     outcome = jobs.Outcome(int(current.job.num), composition.overrides, composition.directory.name, str(sweep), None)
-    jobs.tell(outcome)
+    jobs.save(outcome)
 
     def work() -> int:
         """Check the settings and carry them out; return the exit code, or SKIPPED."""
@@ -43,7 +43,7 @@ def job(config: DictConfig) -> None:
 
     code, message = guarded(work)
     skipped = code == SKIPPED
-    jobs.tell(outcome._replace(code=0 if skipped else code, message=message, skipped=skipped))
+    jobs.save(outcome._replace(code=0 if skipped else code, message=message, skipped=skipped))
     if message:
         parsers.complain("rbfevo", f"{outcome.directory}: {message}")
     if code in jobs.STOPPED:
@@ -93,7 +93,7 @@ def carry_out_sweep(arguments: list[str]) -> int:
     literal, now = names.given(arguments, "hydra.sweep.dir"), datetime.now()
     sweep = Path(f"outputs/{now:%Y-%m-%d}/{now:%H-%M-%S-%f}-{uuid.uuid4().hex[:6]}")
     if not given:
-        arguments = [*arguments, names.word("hydra.sweep.dir", sweep)]
+        arguments = [*arguments, names.override("hydra.sweep.dir", sweep)]
     elif literal:
         sweep = Path(literal[-1])
     else:  # what Hydra has to work out; the outcomes hold it

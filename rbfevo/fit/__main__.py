@@ -29,8 +29,10 @@ def parser() -> parsers.Parser:
     made.add_argument("--strategy", default="isotropic", help="isotropic (adapts only the step size; default) or cmaes")
     made.add_argument("--seed", type=int, default=0, help="seed of the random numbers (default: 0)")
     made.add_argument("--generations", type=int, default=5000, help="the largest number of generations (default: 5000)")
-    made.add_argument("--within", type=float, default=0.05, help="stop this close to the optimum, relatively (0.05)")
-    made.add_argument("--smoothness", type=float, help=f"weight of the Laplacian term, only for scans ({SMOOTHNESS:g})")
+    made.add_argument("--within", type=float, default=0.05, help="stop at 1 + WITHIN times the optimum (default: 0.05)")
+    made.add_argument(
+        "--smoothness", type=float, help=f"weight of the Laplacian term, for scans (default: {SMOOTHNESS:g})"
+    )
     made.add_argument("--parents", type=int, default=25, help="parents of a generation (default: 25)")
     made.add_argument("--population", type=int, default=100, help="offspring of a generation (default: 100)")
     made.add_argument("--out", type=Path, help="directory to write (default: RUN/fit-PICK-MANIPULATION-STRATEGY-seedN)")

@@ -105,7 +105,7 @@ def read_abaqus(content: bytes) -> Mesh:
             f"it has elements that are not read: {', '.join(f'{n} {name}' for name, n in unknown.items())}"
         )
     if places is None:
-        raise FormatError("there are no points in it: empty or damaged")
+        raise FormatError("it holds no points; is it empty or damaged?")
     _add_sets(numbered, sets, parts)
     mesh = numbered.mesh()
     return Mesh(

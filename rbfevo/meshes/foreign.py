@@ -80,7 +80,7 @@ def _reply(process: subprocess.Popen[bytes], kind: str, patience: float) -> dict
     try:
         reply = messages.receive(process.stdout)
     except EOFError:
-        endless = f"comes to no end with it in {patience:.0f} s: damaged"
+        endless = f"did not finish reading within {patience:.0f} s: damaged"
         raise ValueError(f"{name} {endless if late.is_set() else 'dies of it: damaged, or too large'}") from None
     finally:
         clock.cancel()

@@ -48,7 +48,7 @@ def read_glb(content: bytes) -> Mesh:
     starts = np.cumsum([0, *map(len, points)])
     announced = sum(_vertices(scenery, node) for node in sorted({entry[0] for entry in found}))
     if starts[-1] == 0:
-        raise FormatError("there are no points in it: empty or damaged")
+        raise FormatError("it holds no points; is it empty or damaged?")
     if starts[-1] != announced:
         raise FormatError(f"only {starts[-1]} of its {announced} vertices can be read (is it compressed?)")
 

@@ -85,7 +85,7 @@ class Numbered:
             FormatError: if there are no nodes, numbers of nodes are there twice, or cells refer to others.
         """
         if not self._points:
-            raise FormatError("there are no points in it: empty or damaged")
+            raise FormatError("it holds no points; is it empty or damaged?")
         if self._twice:
             raise FormatError(f"{self._twice} numbers of nodes are there twice")
         lost = {node for scope, nodes in self._nodes for node in nodes if (scope, node) not in self._place}

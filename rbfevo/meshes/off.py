@@ -19,7 +19,7 @@ def read_off(content: bytes) -> Mesh:
     """
     listed = list(lines(content, b"#"))
     if not listed:
-        raise FormatError("there are no points in it: empty or damaged")
+        raise FormatError("it holds no points; is it empty or damaged?")
     header, first = b"", listed[0][1].split()
     if not first[0].isdigit():
         header = first[0].upper()

@@ -76,7 +76,7 @@ class Places:
             FormatError: if there are none, or a coordinate is not a number.
         """
         if not self._rows:
-            raise FormatError("there are no points in it: empty or damaged")
+            raise FormatError("it holds no points; is it empty or damaged?")
         found = numbers(self._numbers, "point", len(self._columns)).reshape(len(self), -1)
         return np.pad(found, ((0, 0), (0, 3 - len(self._columns))))
 

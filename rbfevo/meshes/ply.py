@@ -97,7 +97,7 @@ def read_ply(content: bytes) -> Mesh:
     if len(set(names)) != len(names):
         raise FormatError("its element vertex has two properties of one name")
     if vertex.count == 0:
-        raise FormatError("there are no points in it: empty or damaged")
+        raise FormatError("it holds no points; is it empty or damaged?")
     for element in elements:
         if element.name in ("face", "tristrips") and element.count:
             lists = [entry for entry in element.properties if entry.counted and entry.name in _CORNERS]

@@ -87,7 +87,7 @@ def _readable(values: Array) -> Array:
 
 def _mesh(points: Array, rewritten: Callable[[Array], bytes], patches: dict[str, Ints]) -> Mesh:
     if not len(points):
-        raise FormatError("there are no points in it: empty or damaged")
+        raise FormatError("it holds no points; is it empty or damaged?")
     cells = Cells.blocks([(5, np.arange(len(points)).reshape(-1, 3))])
     return Mesh(points, written_as(rewritten), cells, patches=patches)
 

@@ -185,7 +185,7 @@ class Heuristic(Method):
 
     def step(self) -> None:
         if self._problem is None:
-            raise UserError(f"{self.name}: start it on a problem first")
+            raise UserError(f"{self.name}: call start() with a problem first")
         centers = self.place(self._problem)
         self._rows = [no_preference(self.name, centers, self._problem.evaluate(centers))]
 

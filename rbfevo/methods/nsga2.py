@@ -91,7 +91,7 @@ class NSGA2:
             UserError: nothing was asked for, or the shape does not fit.
         """
         if self._asked is None:
-            raise UserError("NSGA-II: tell came before ask; call ask() and score those individuals")
+            raise UserError("NSGA-II: tell() called before ask(): call ask() and score its individuals")
         N, M = len(self.population), self.objectives.shape[1]
         if objectives.ndim != 2 or len(objectives) != N or objectives.shape[1] != (M or max(objectives.shape[1], 1)):
             raise UserError(

@@ -81,7 +81,7 @@ class Parts:
         }
         for key, count in asked.items():
             if count is not None and count < len(self.scenario.vertices) and count < 2 * self.settings.centers:
-                raise UserError(f"{key}={count}: at least twice as many as centers={self.settings.centers} are needed")
+                raise UserError(f"{key}={count}: give at least twice centers={self.settings.centers}")
 
     def _evaluator(self, scenario: Scenario) -> Evaluator:
         """Of this run's kernel and manipulation, on a scenario's vertices; all that a GPU does, it does in there."""

@@ -104,7 +104,7 @@ def check_top(config: DictConfig) -> RunConfig:
         raise UserError(f"{error.full_key}: {what}; a ${{ that stands for itself is written \\${{") from None
     top = typed(typing.cast(dict[str, Any], values), RunConfig, "")
     if top.centers < 1:
-        raise UserError(f"centers={top.centers}: at least one center is needed")
+        raise UserError(f"centers={top.centers}: give at least 1")
     if not 0 <= top.seed < 2**63:
         raise UserError(f"seed={top.seed}: choose a whole number from 0 to 2^63 - 1")
     refuse_others("device", top.device, DEVICES)
@@ -125,11 +125,11 @@ def checkpoint_every(node: Any) -> float | None:
     keys = node if isinstance(node, dict) else {} if node is None else {"": node}
     unknown = [key for key in keys if key != "every"]
     if unknown:
-        raise UserError(f"checkpoint.{unknown[0]}: unknown key; the only one is checkpoint.every")
+        raise UserError(f"checkpoint.{unknown[0]}: there is no such key; the only one is checkpoint.every")
     every = keys.get("every")
     number = isinstance(every, int | float) and not isinstance(every, bool)
     if every is not None and not (number and 0 <= every < math.inf):
-        raise UserError(f"checkpoint.every={every}: null or a number of seconds, at least 0, is expected")
+        raise UserError(f"checkpoint.every={every}: give null, or a number of seconds of at least 0")
     return None if every is None else float(every)
 
 
@@ -175,7 +175,7 @@ def checked_target(node: Any, path: str) -> dict[str, Any]:
     fields = []
     for key in plain:
         if key != "_target_" and key not in parameters:
-            raise UserError(f"{path}.{key}: unknown key; choose one of {', '.join(parameters)}")
+            raise UserError(f"{path}.{key}: there is no such key; choose one of {', '.join(parameters)}")
         kind = str if key == "_target_" else omegaconf_type(hints.get(str(key), Any))
         fields.append((str(key), kind, dataclasses.field(default=dataclasses.MISSING)))
     values = vars(typed(plain, dataclasses.make_dataclass("Options", fields), f"{path}."))
@@ -222,7 +222,7 @@ def typed(values: dict[str, Any], schema: Any, path: str) -> Any:
         return OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(schema), OmegaConf.create(_literal(values))))
     except ConfigKeyError as error:
         there = ", ".join(field.name for field in dataclasses.fields(schema))
-        raise UserError(f"{path}{error.key}: unknown key; choose one of {there}") from error
+        raise UserError(f"{path}{error.key}: there is no such key; choose one of {there}") from error
     except OmegaConfBaseException as error:
         key = re.split(r"[.\[]", str(error.full_key or error.key))[0]
         if key not in values:

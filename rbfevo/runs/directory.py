@@ -21,7 +21,7 @@ def refuse_results(directory: Path) -> None:
     refuse_held(directory, RESULTS, "hydra.run.dir")
     if (directory / CHECKPOINT).exists():
         raise UserError(
-            f"{directory} holds a run that is not done: {resuming(directory)} goes on with it, or choose another "
+            f"{directory} holds an unfinished run: continue it with {resuming(directory)}, or choose another "
             "hydra.run.dir"
         )
 
@@ -29,4 +29,4 @@ def refuse_results(directory: Path) -> None:
 def resuming(directory: Path) -> str:
     """The word with which `python -m rbfevo` goes on with a run, as one types it into a shell."""
     plain = names.name_of(str(directory)) == str(directory)
-    return shlex.quote(f"resume={directory}" if plain else names.word("resume", directory))
+    return shlex.quote(f"resume={directory}" if plain else names.override("resume", directory))

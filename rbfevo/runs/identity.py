@@ -23,14 +23,14 @@ def checkpoint_for(settings: Settings, directory: Path) -> dict[str, Any] | None
     progress = saved.get("progress")
     if saved.get("settings") != identity(settings):
         raise UserError(
-            f"{directory}: its checkpoint was made with other settings: only method.*generations, "
-            f"{', '.join(WITHOUT_EFFECT)} may change on the way"
+            f"{directory}: the settings differ from those of its checkpoint: only method.*generations, "
+            f"{', '.join(WITHOUT_EFFECT)} can change on resume"
         )
     if progress is None:
         return None
     budgets = [stage.steps for stage in stages_of(build(settings.method))]
     if saved.get("finished") and budgets == progress["steps"]:
-        raise UserError(f"{directory} is done: there is nothing to resume (a larger method.generations lengthens it)")
+        raise UserError(f"{directory} is finished; to lengthen it, give a larger method.generations")
     return saved
 
 

@@ -60,7 +60,7 @@ class Journal:
         except OSError as error:
             raise UserError(f"{path} cannot be read ({error.strerror or error}): start a new run") from None
         if length < self._offset:
-            raise UserError(f"{path} is shorter than its checkpoint expects: start a new run")
+            raise UserError(f"{path} is shorter than the checkpoint requires (was it changed?); start a new run")
 
     def record(self, records: Sequence[HistoryLine]) -> None:
         """Add lines to the history."""

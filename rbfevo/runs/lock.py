@@ -28,7 +28,7 @@ def locked(directory: Path) -> Iterator[None]:
         lock.acquire()
     except filelock.Timeout:
         raise UserError(
-            f"{directory} is in use: another process is at work on this run; wait for it or stop it"
+            f"{directory} is in use: another process is working on this run; wait for it or stop it"
         ) from None
     except OSError as error:
         raise UserError(f"{directory} cannot be written: {error.strerror or error}") from None

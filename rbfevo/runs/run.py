@@ -128,7 +128,7 @@ class Run(Parts):
         except UserError as error:
             if len(self.stages) == 1:
                 raise
-            self.warnings.append(f"{stage.name} was left out: {error}")
+            self.warnings.append(f"{stage.name} was skipped: {error}")
 
     def keep(self, journal: Journal, reporter: Reporter, finished: bool = False) -> None:
         """Write a checkpoint; if that fails one warning is printed, and it is tried again the next time."""
@@ -161,7 +161,9 @@ class Run(Parts):
     def _refuse_others(self, saved: dict[str, Any]) -> None:
         """Raise UserError if it was saved on another design, or the budgets have changed so that it does not fit."""
         if saved["design"] != self._design:
-            raise UserError("the scenario has another mesh or gradient than when the run began (has a file changed?)")
+            raise UserError(
+                "the mesh or gradient of the scenario has changed since the run started (was a file replaced?); start a new run"
+            )
         index, step = int(saved["stage"]), int(saved["step"])
         for place, (stage, steps) in enumerate(zip(self.stages, saved["steps"], strict=True)):
             if stage.steps == steps or place > index:
@@ -170,7 +172,7 @@ class Run(Parts):
                 why = "it is done" if place < index else f"it has taken {step} already"
                 if place == index and not stage.fits(steps):
                     why = "its plan depends on their number from the start"
-                raise UserError(f"method={stage.name}: the generations cannot be changed on the way: {why}")
+                raise UserError(f"method={stage.name}: the number of generations cannot change on resume: {why}")
 
     def _resume(self, saved: dict[str, Any]) -> None:
         """Take up what was saved, but for the state of the stage that it was saved in, which that stage takes."""
@@ -189,7 +191,7 @@ class Run(Parts):
     def save(self, directory: Path, reporter: Reporter, journal: Journal) -> None:
         """Score the rows on all vertices, write the run directory and draw its figures."""
         if not self.rows:
-            reporter.line("stopped before anything was found; nothing was written")
+            reporter.line("stopped before any result; nothing was written")
             return
         rescored = [rows._replace(scores=self.rescore(rows.centers)) for rows in self.rows]
         if self.searched is not self.scenario:
@@ -259,5 +261,5 @@ def carry_out(settings: Settings, directory: Path, arguments: Sequence[str] = ()
             run.keep(journal, reporter, finished=True)
             journal.close()
         else:
-            reporter.line(f"to go on: python -m rbfevo {resuming(directory)}")
+            reporter.line(f"to continue: python -m rbfevo {resuming(directory)}")
     return 0 if interruption.signal is None else 128 + interruption.signal

@@ -60,8 +60,10 @@ def face(
         raise UserError(f"{notes['scan']}: merging coincident vertices leaves no triangle; check the file")
     vertices, scale = placement.fit_box(vertices)
     kind = "a cloud" if triangles is None else f"{len(triangles)} triangles"
-    notes["scan size"] = f"{len(vertices)} distinct vertices, {kind}; {strays} stray vertices dropped"
-    notes["scan frame"] = f"up {up} -> +y, front {front} -> +z, times {scale:.6g}, front at z = 1"
+    notes["scan size"] = f"scan: {len(vertices)} distinct vertices, {kind}; {strays} stray vertices dropped"
+    notes["scan frame"] = (
+        f"scan turned (up {up} to +y, front {front} to +z), scaled by {scale:.6g}, its front put at z = 1"
+    )
 
     sphere, faces = _icosphere(subdivisions)
     displacement, rejected, facts, query = pair(sphere, sphere, vertices, triangles, reject)

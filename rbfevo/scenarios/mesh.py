@@ -21,7 +21,8 @@ from rbfevo.scenarios import fixing, sensitivities
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.matching import MATCHES
 from rbfevo.scenarios.reading import checked_extent, read_surface
-from rbfevo.scenarios.scenario import Sampler, Scenario, near_one, times_power_of_two, unit_gradient
+from rbfevo.scenarios.sampling import open_faces, surface_sampler
+from rbfevo.scenarios.scenario import Scenario, near_one, times_power_of_two, unit_gradient
 from rbfevo.scenarios.templates import Template, read_template
 from rbfevo.scenarios.units import nearest_unit
 from rbfevo.scenarios.vertex_arrays import vertex_array
@@ -101,7 +102,9 @@ def mesh(
     mirror = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, design.triangles, lower, upper)
     if target is not None:
         if objective != "minimize" or sensitivity_kind != "nodal":
-            raise UserError("scenario.objective and scenario.sensitivity_kind belong to a sensitivity, not to a target")
+            raise UserError(
+                "scenario.objective and scenario.sensitivity_kind belong to a sensitivity, not a target; remove them"
+            )
         pairing, more, warnings = _paired(design, target, target_scale, reject)
         exponent = 0
         wanted, stays = pairing.displacement, pairing.rejected
@@ -147,7 +150,7 @@ def mesh(
         lower=lower,
         upper=upper,
         support=length("scenario.support", support, float((upper - lower).norm())),
-        sample=_sampler(vertices, _open_faces(vertices, faces, still.region)),
+        sample=surface_sampler(vertices, open_faces(vertices, faces, still.region)),
         gradient_norm=norm,
         notes=notes,
         warnings=warnings,
@@ -291,32 +294,3 @@ def _convention(source: str, values: NDArray[np.float64], kind: str, objective: 
     form = "one value per vertex, along its normal" if values.ndim == 1 else "three components per vertex"
     way = "against" if objective == "minimize" else "along"
     return f"{source}: {form}, {kind}; to {objective} the objective, the design should move {way} it"
-
-
-def _open_faces(vertices: Tensor, faces: Tensor, region: Region | None) -> Tensor:
-    """The triangles on which centers are drawn: all, or those with no corner in the region where none may sit."""
-    if region is None:
-        return faces
-    kept = faces[~region.contains(vertices)[faces].any(dim=1)]
-    if not len(kept):
-        raise UserError(
-            "scenario.keep_out=true leaves no triangle for centers; fix fewer vertices, or set keep_out=false"
-        )
-    return kept
-
-
-def _sampler(vertices: Tensor, faces: Tensor) -> Sampler:
-    """Centers uniform on the surface."""
-    corners = vertices[faces]
-    area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1)
-    cumulative = area.cumsum(0)
-
-    def sample(count: int, m: int, generator: torch.Generator) -> Tensor:
-        """Draw [count, m, 3] centers uniformly on the surface."""
-        draws = torch.rand(3, count, m, generator=generator, dtype=torch.float64)
-        face = torch.searchsorted(cumulative, draws[0] * cumulative[-1]).clamp(max=len(faces) - 1)
-        root = draws[1].sqrt()
-        shares = torch.stack((1.0 - root, root * (1.0 - draws[2]), root * draws[2]), dim=-1)
-        return (shares[..., None] * corners[face]).sum(-2)
-
-    return sample

@@ -65,7 +65,7 @@ def notes_and_warnings(
     heights = vertices[:, mirror.axis] - mirror.at
     beyond = np.sort([(heights > mirror.tolerance).sum(), (heights < -mirror.tolerance).sum()])
     if beyond[0] <= ONE_SIDED * beyond[1]:
-        return {"symmetry": f"about {name}; the template is one half, and the other half is not scored"}, []
+        return {"symmetry": f"symmetry about {name}; the template is one half, and the other half is not scored"}, []
     some = np.linspace(0, len(vertices) - 1, min(len(vertices), LOOKED_AT)).astype(np.int64)
     images = mirror.image(torch.from_numpy(vertices[some])).numpy()
     closest, _ = closest_on_surface(images, vertices, triangles)
@@ -83,8 +83,8 @@ def notes_and_warnings(
             "check scenario.symmetry and scenario.symmetry_at"
         )
     notes = {
-        "symmetry": f"about {name}: mirror images lie within {distance:.3g} of the surface; {share:.1%} of |g|^2 is "
-        "not symmetric, and out of reach"
+        "symmetry": f"symmetry about {name}: mirror images lie within {distance:.3g} of the surface; {share:.1%} of "
+        "|g|^2 is not symmetric, and out of reach"
     }
     if distance > LOPSIDED * diagonal:
         return notes, [

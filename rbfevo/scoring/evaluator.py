@@ -126,7 +126,7 @@ class Evaluator:
         self.representation.refuse(centers, d)
         m = self.representation.columns(centers)
         if m > n:
-            raise UserError(f"{m} centers are more than the design's {n} vertices; use fewer centers")
+            raise UserError(f"{m} centers are more than the design's {n} vertices; use fewer")
         setups = centers.reshape(-1, *centers.shape[-dims:]).to(self.deformation.vertices.dtype)
         finite = torch.isfinite(setups).flatten(1).all(1)
         setups = zeroed(setups, finite)

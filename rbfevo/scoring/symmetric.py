@@ -48,7 +48,7 @@ class MirroredEvaluator(Evaluator):
         mirror: Mirror,
     ) -> None:
         if gradient.shape[1] != vertices.shape[1]:
-            raise UserError("symmetry needs a wanted displacement with a component along every axis")
+            raise UserError("symmetry needs a wanted displacement with three components")
         self.mirror = mirror
         self.gradient = gradient
         self.weights = torch.ones_like(vertices[:, 0]) if weights is None else weights

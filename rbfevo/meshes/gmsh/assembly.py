@@ -16,7 +16,7 @@ from rbfevo.meshes.places import Places
 def mesh_of(content: bytes, parsed: Parsed, places: Places) -> Mesh:
     """The mesh of a file: points and cells in its order, patches by physical group or else by entity."""
     if not parsed.numbers:
-        raise FormatError("there are no points in it: empty or damaged")
+        raise FormatError("it holds no points; is it empty or damaged?")
     points = np.concatenate(parsed.points) if parsed.points else places.points()
     numbers = np.concatenate(parsed.numbers)
     if len(numbers) != len(points):

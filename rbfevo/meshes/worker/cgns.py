@@ -60,7 +60,7 @@ def zones(found: Any) -> tuple[Any, dict[str, Any]]:
             count += len(block["kinds"])
         first += len(own) if own is not None else 0
     if not points:
-        raise ValueError("there are no points in it: empty or damaged")
+        raise ValueError("it holds no points; is it empty or damaged?")
     kinds, sizes, corners = (np.concatenate(column) for column in zip(*cells, strict=True))
     dataset = grid(
         np.concatenate(points),

@@ -60,7 +60,7 @@ class MeshioFile:
         if self.points.ndim != 2 or self.points.shape[1] not in (2, 3) or self.points.dtype.kind not in "fiu":
             raise ValueError("it does not have points with two or three coordinates")
         if not len(self.points):
-            raise ValueError("there are no points in it: empty or damaged")
+            raise ValueError("it holds no points; is it empty or damaged?")
         blocks = [_block(block.type, block.data) for block in self.mesh.cells]
         starts = np.cumsum([0, *(len(block) for _, block in blocks)])
         nothing = np.empty(0, np.int64)

@@ -26,7 +26,7 @@ class VtkFile:
         self._own = found.GetClassName() in WRITERS  # else the dataset is made of the file's several
         self.dataset, patches = (cgns.zones if self._ending == ".cgns" else _single)(found)
         if self.dataset.GetPoints() is None or self.dataset.GetNumberOfPoints() == 0:
-            raise ValueError("there are no points in it: empty or damaged")
+            raise ValueError("it holds no points; is it empty or damaged?")
         self.points = points_of(self.dataset)
         cells = cells_of(self.dataset)
         self.reply = {"points": self.points, **cells, "notes": np.array([], np.str_)}

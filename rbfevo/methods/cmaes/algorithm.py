@@ -138,7 +138,7 @@ class CMAES:
             UserError: without an `ask` before it, or for another shape.
         """
         if self._z is None or self._x is None:
-            raise UserError("CMAES.tell: there are no offspring; call ask() first")
+            raise UserError("CMAES.tell() called before ask(): call ask() first")
         if fitness.shape != self._z.shape[:2]:
             expected, given = list(self._z.shape[:2]), list(fitness.shape)
             raise UserError(f"CMAES.tell: fitness must be [elements, offspring] = {expected}, not {given}")

@@ -31,9 +31,7 @@ class CmaesSearch(Method):
         if not (math.isfinite(sigma) and sigma > 0):
             raise UserError(f"cmaes: sigma={sigma}: the first step size must be a positive fraction of the box")
         if parents > population:
-            raise UserError(
-                f"cmaes: parents={parents}: choose at most population={population}, the number of offspring"
-            )
+            raise UserError(f"cmaes: parents={parents}: give at most population={population}, the number of offspring")
         self.sigma = sigma
         self.default_preferences: tuple[float, ...] = (0.5,)
 

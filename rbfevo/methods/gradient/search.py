@@ -136,7 +136,7 @@ class GradientSearch(Method):
         if self._renew:
             self._exponents, self._renew = exponents(objectives[:, 0], self._sharpness), False
         if self._exponents is None:
-            raise UserError("gradient: start it on a problem first")
+            raise UserError("gradient: call start() with a problem first")
         log_regularity, slope = soft_regularity(spectrum, self._exponents)
         values, in_regularity, in_potential = self._team.aim(log_regularity, spectrum.potential)
         gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential)
