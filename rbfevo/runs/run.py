@@ -162,7 +162,8 @@ class Run(Parts):
         """Raise UserError if it was saved on another design, or the budgets have changed so that it does not fit."""
         if saved["design"] != self._design:
             raise UserError(
-                "the mesh or gradient of the scenario has changed since the run started (was a file replaced?); start a new run"
+                "the mesh or gradient of the scenario has changed since the run started (was a file replaced?); "
+                "start a new run"
             )
         index, step = int(saved["stage"]), int(saved["step"])
         for place, (stage, steps) in enumerate(zip(self.stages, saved["steps"], strict=True)):
