@@ -23,7 +23,7 @@ def test_a_center_whose_image_alone_reaches_a_vertex_is_not_idle() -> None:
     setups = torch.tensor([[[0.9, 1.0], [0.3, 1.0]], [[0.2, 0.5], [0.3, 1.0]]], dtype=torch.float64)
     (line,) = out_of_reach(half, 0.3, setups)
     assert line.startswith(
-        "1 of 2 setups have R = 0: some of their centers (up to 1) have no vertex within the support radius 0.3"
+        "1 of 2 setups have R = 0: some of their centers (up to 1) have no free vertex within the support radius 0.3"
     )
     assert out_of_reach(dataclasses.replace(half, mirror=mirror), 0.3, setups) == []
     assert out_of_reach(half, None, setups) == []

@@ -112,8 +112,13 @@ class Reporter:
             self._bar.stop()
             self._bar = None
 
-    def closing_table(self, table: dict[str, np.ndarray], directory: Path) -> None:
-        """Best regularity, best improvement potential and hypervolume by method, the knee, and where the files are."""
+    def closing_table(self, table: dict[str, np.ndarray], directory: Path, idle: np.ndarray | None = None) -> None:
+        """Best regularity, best improvement potential and hypervolume by method, the knee, and where the files are.
+
+        Args:
+            table: the arrays of setups.npz; idle: [p, m] which centers have no free vertex in reach: those of the
+                knee and of the best setups are named.
+        """
         objectives = np.stack((table["regularity"], table["improvement_potential"]), axis=1)
         names = list(dict.fromkeys(table["method"].tolist()))
         shown = Table("method", "setups", "best R", "best P", "hypervolume")
@@ -127,6 +132,12 @@ class Reporter:
         preference = table["preference"][i]
         origin = table["method"][i] + ("" if math.isnan(preference) else f", preference {preference:g}")
         self.line(f"knee: R = {objectives[i, 0]:.4g}, P = {objectives[i, 1]:.4f} (row {i}, {origin})")
+        if idle is not None:
+            picks = {"knee": i, "best R": int(objectives[:, 0].argmax()), "best P": int(objectives[:, 1].argmax())}
+            for name, row in picks.items():
+                if idle[row].any():
+                    numbers = ", ".join(map(str, np.flatnonzero(idle[row])))
+                    self.line(f"{name} (row {row}): no free vertex in reach of centers {numbers}, which move nothing")
         self.line(f"files: {directory}")
 
 

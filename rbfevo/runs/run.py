@@ -197,9 +197,11 @@ class Run(Parts):
         rescored = [rows._replace(scores=self.rescore(rows.centers)) for rows in self.rows]
         if self.searched is not self.scenario:
             self.differences = differences(self.rows[self._drawn :], rescored[self._drawn :])
-        if isinstance(self.representation, RBF):
+        idle = None
+        if isinstance(self.representation, RBF) and self.kernel.support is not None:
             found = torch.cat([row.centers for row in self.rows])
             self.warnings += reach.out_of_reach(self.scenario, self.kernel.support, found)
+            idle = reach.idle_centers(self.scenario, self.kernel.support, found.nan_to_num()).numpy()
         table = storage.setup_table(rescored, self.representation, self.scenario.vertices.shape[1])
         objectives = torch.cat([rows.scores.objectives for rows in rescored])
         storage.write_scenario(directory, self.scenario)
@@ -209,7 +211,7 @@ class Run(Parts):
         drawn = figures.draw(directory) if self.settings.figures else []
         for warning in [*self.warnings[self.printed :], *drawn]:
             reporter.line(f"warning: {warning}")
-        reporter.closing_table(table, directory)
+        reporter.closing_table(table, directory, idle)
 
 
 def carry_out(settings: Settings, directory: Path, arguments: Sequence[str] = (), resume: bool = False) -> int:

@@ -16,7 +16,6 @@ from rbfevo.geometry import placement, topology
 from rbfevo.geometry.correspondence import Points, Triangles
 from rbfevo.geometry.lengths import length
 from rbfevo.geometry.pairing import REJECTIONS, Pairing, pair
-from rbfevo.geometry.parameterization import Region
 from rbfevo.scenarios import fixing, sensitivities
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.matching import MATCHES

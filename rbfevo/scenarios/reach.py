@@ -32,22 +32,30 @@ def unfit(scenario: Scenario, support: float | None) -> list[str]:
 
 
 def out_of_reach(scenario: Scenario, support: float | None, centers: Tensor) -> list[str]:
-    """A warning if setups [p, m, d] have centers without a vertex within the support radius, which makes R = 0."""
+    """A warning if setups [p, m, d] have centers without a free vertex within the support radius, which makes R = 0."""
     if support is None or not len(centers):
         return []
-    setups = centers[torch.isfinite(centers).flatten(1).all(1)].cpu()
-    tree = KDTree(scenario.vertices.cpu().numpy())
-
-    def near(points: Tensor) -> Tensor:
-        return torch.from_numpy(tree.query(points.flatten(0, 1).numpy())[0]).view(points.shape[:2])
-
-    distance = near(setups)
-    if scenario.mirror is not None:
-        distance = torch.minimum(distance, near(scenario.mirror.image(setups)))
-    idle = (distance >= support).sum(1)
+    idle = idle_centers(scenario, support, centers[torch.isfinite(centers).flatten(1).all(1)]).sum(1)
     if not bool((idle > 0).any()):
         return []
     return [
         f"{int((idle > 0).sum())} of {len(idle)} setups have R = 0: some of their centers (up to {int(idle.max())}) "
-        f"have no vertex within the support radius {support:g} and move nothing"
+        f"have no free vertex within the support radius {support:g} and move nothing"
     ]
+
+
+def idle_centers(scenario: Scenario, support: float, centers: Tensor) -> Tensor:
+    """Which centers [p, m, d], finite, have no free vertex in reach, and move nothing: [p, m] bool.
+
+    A vertex is free where it is not held.
+    """
+    free = scenario.vertices if scenario.blend is None else scenario.vertices[scenario.blend > 0]
+    tree = KDTree(free.cpu().numpy())
+
+    def near(points: Tensor) -> Tensor:
+        return torch.from_numpy(tree.query(points.flatten(0, 1).numpy())[0]).view(points.shape[:2])
+
+    distance = near(centers.cpu())
+    if scenario.mirror is not None:
+        distance = torch.minimum(distance, near(scenario.mirror.image(centers.cpu())))
+    return distance >= support

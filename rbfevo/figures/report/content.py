@@ -217,6 +217,7 @@ def _mesh(record: Record, count: int) -> dict[str, Any]:
         "faces": packed(surface.faces, "<u4"),
         "gradient": packed(record.gradient[surface.rows], "<f8"),
         "weights": None if uniform else packed(surface.weights, "<f8"),
+        "blend": None if record.blend is None else packed(record.blend[surface.rows], "<f8"),
         "scale": record.gradient_norm,
         "direction": record.summary.get("gradient_is") == "direction",
         "stretch": factor,

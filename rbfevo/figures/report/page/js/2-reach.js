@@ -20,7 +20,7 @@ function imageOf(center, mirror) {
 }
 
 /** Column of Phi [n] of one center; with a mirror that along its plane, or across it (null where there is none). */
-function columnOf(center, mesh, run, roots, across) {
+function columnOf(center, mesh, run, factors, across) {
   const { vertices, n, d } = mesh, phi = kernelOf(run), mirror = run.mirror;
   if (across && center[mirror.axis] === mirror.at) return null;
   const column = new Float64Array(n);
@@ -33,7 +33,7 @@ function columnOf(center, mesh, run, roots, across) {
   };
   add(center, 1);
   if (mirror) add(imageOf(center, mirror), across ? -1 : 1);
-  if (roots) for (let i = 0; i < n; i++) column[i] *= roots[i];
+  if (factors) for (let i = 0; i < n; i++) column[i] *= factors[i];
   return column;
 }
 
@@ -61,7 +61,7 @@ function leftBy(setup, mesh) {
   if (run.mirror && k > 1) groups.splice(0, 1, [[...Array(k).keys()].filter((c) => c !== run.mirror.axis), false], [[run.mirror.axis], true]);
   let remaining = 0, whole = 0;
   for (const [components, across] of groups) {
-    const columns = centers.map((center) => columnOf(center, mesh, run, mesh.roots, across)).filter((column) => column);
+    const columns = centers.map((center) => columnOf(center, mesh, run, mesh.factors, across)).filter((column) => column);
     const residuals = components.map((c) => Float64Array.from({ length: n }, (_, i) => mesh.gradient[i * k + c] * (mesh.roots ? mesh.roots[i] : 1)));
     whole += residuals.reduce((sum, component) => sum + dot(component, component), 0);
     project(columns, residuals);
@@ -90,6 +90,8 @@ function unpackMesh(mesh) {
   mesh.faces = unpacked(mesh.faces, Uint32Array);
   mesh.gradient = unpacked(mesh.gradient, Float64Array);
   mesh.roots = mesh.weights ? unpacked(mesh.weights, Float64Array).map(Math.sqrt) : null;
+  const blend = mesh.blend ? unpacked(mesh.blend, Float64Array) : null;  // 0 where a vertex is held
+  mesh.factors = blend && mesh.roots ? blend.map((value, i) => value * mesh.roots[i]) : blend || mesh.roots;
   mesh.middle = [0, 1, 2].map((axis) => {
     let low = Infinity, high = -Infinity;
     for (let at = axis; axis < mesh.d && at < mesh.vertices.length; at += mesh.d) { low = Math.min(low, mesh.vertices[at]); high = Math.max(high, mesh.vertices[at]); }
