@@ -16,8 +16,8 @@ def parameters(setup: Setup, displacements: Array) -> bytes:
     """The file for displacements [m, 3] of the centers of a setup in space; images are control points of their own.
 
     Raises:
-        UserError: for held regions, for a kernel that PyGeM does not have, or if the control points do not determine its
-            linear polynomial.
+        UserError: for held regions, for a kernel that PyGeM does not have, or if the control points do not determine
+            its linear polynomial.
     """
     if setup.hold is not None:
         raise UserError("PyGeM has no held regions; deform meshes with python -m rbfevo.apply")

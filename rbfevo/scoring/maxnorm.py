@@ -62,16 +62,25 @@ def best_displacement(blocks: Sequence[Block], a: Array, weights: Array, p: floa
         slices.append(slice(start, start + size))
         start += size
 
+    def coordinates(z: Array) -> list[Array]:
+        """The coordinates [r, c] in each block's basis."""
+        shapes = [(block.basis.shape[1], len(block.components)) for block in blocks]
+        return [z[part].reshape(shape) for part, shape in zip(slices, shapes, strict=True)]
+
     def displaced(z: Array) -> Array:
+        """The displacement [n, k]."""
         d = np.zeros(a.shape)
-        for block, part in zip(blocks, slices, strict=True):
-            d[:, block.components] = block.basis @ z[part].reshape(block.basis.shape[1], -1)
+        for block, part in zip(blocks, coordinates(z), strict=True):
+            d[:, block.components] = block.basis @ part
         return d
 
     def pulled(field: Array) -> Array:
+        """What each coordinate gains by a field [n, k]."""
         return np.concatenate([(block.basis.T @ field[:, block.components]).ravel() for block in blocks])
 
     linear = pulled(a)
+    if not linear.any():
+        return Gain(np.zeros(a.shape), coordinates(np.zeros_like(linear)), 0.0)
     H = _curvature(blocks, np.repeat(np.eye(a.shape[1])[None], len(u), axis=0) * u[:, None, None])
     z = cho_solve(cho_factor(H + DAMPING * H.diagonal().max(initial=1e-300) * np.eye(len(H))), linear)
     if float(linear @ z) <= NOTHING * float((a**2 / u[:, None]).sum()):
@@ -80,8 +89,7 @@ def best_displacement(blocks: Sequence[Block], a: Array, weights: Array, p: floa
         for q in _stages(p):
             z = _newton(blocks, z / norm(displaced(z), u, q), linear, u, q, displaced, pulled)
         z = z / norm(displaced(z), u, p)
-    parts = [z[part].reshape(block.basis.shape[1], -1) for block, part in zip(blocks, slices, strict=True)]
-    return Gain(displaced(z), parts, float(linear @ z))
+    return Gain(displaced(z), coordinates(z), float(linear @ z))
 
 
 def _stages(p: float) -> list[float]:
