@@ -18,6 +18,7 @@ from test_mesh_runs import METHODS
 from rbfevo import apply, export
 from rbfevo.__main__ import main
 from rbfevo.errors import UserError
+from rbfevo.fit.manipulations import deformation
 from rbfevo.geometry.holding import Hold
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.recorded.record import read
@@ -26,7 +27,8 @@ from rbfevo.scenarios import mesh
 from rbfevo.scenarios.coarse import coarsened
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.gradients import differentiable_scores
-from rbfevo.scoring.symmetric import MirroredEvaluator
+from rbfevo.scoring.kernels import Wendland
+from rbfevo.scoring.symmetric import MirroredEvaluator, evaluator_of
 
 SUPPORT = 1.5
 
@@ -407,3 +409,43 @@ def test_a_run_is_resumed_only_with_the_same_hold(egg: Path, tmp_path: Path) -> 
     from rbfevo.runs.checkpoint import digest
 
     assert digest(first.blend) != digest(other.blend)
+
+
+# --- heuristics and fits ---------------------------------------------------------------------------------------------
+
+
+def test_ols_picks_the_candidate_that_gains_most_under_the_hold(egg: Path, tmp_path: Path) -> None:
+    run = a_run(egg, tmp_path / "run", "method=ols", "method.per_axis=7", "centers=1", "scenario.keep_out=false")
+    record = read(run)
+    axes = [np.linspace(a, b, 7) for a, b in zip(record.lower, record.upper, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    r = cdist(record.vertices, grid)
+    assert record.blend is not None
+
+    def gains(rows: np.ndarray) -> np.ndarray:
+        columns = rows[:, None] * np.where(r < SUPPORT, (1 - r / SUPPORT) ** 4 * (4 * r / SUPPORT + 1), 0.0)
+        squares = np.maximum((columns**2).sum(axis=0), 1e-300)
+        return np.square(columns.T @ record.gradient).sum(axis=1) / squares
+
+    best = gains(record.blend)
+    np.testing.assert_allclose(record.centers[0, 0], grid[np.argmax(best)], atol=1e-12)
+    assert record.improvement_potential[0] == pytest.approx(best.max(), rel=1e-9)
+    assert np.argmax(gains(np.ones_like(record.blend))) != np.argmax(best)
+
+
+@pytest.mark.parametrize("manipulation", ["indirect", "direct", "orthogonalized"])
+def test_fits_move_nothing_that_is_held(manipulation: str, egg: Path) -> None:
+    scenario = held_scenario(egg, hold="end", hold_width=0.7, weights="area")
+    kernel = Wendland(SUPPORT)
+    centers = scenario.sample(1, 5, torch.Generator().manual_seed(2))[0]
+    found = deformation(scenario, kernel, centers, manipulation)
+    assert (found.U[scenario.blend == 0] == 0).all()
+    blend, roots = scenario.blend.numpy()[:, None], np.sqrt(scenario.weights.numpy())[:, None]
+    Phi = blend * numpy_phi(kernel, cdist(scenario.vertices.numpy(), centers.numpy()))
+    np.testing.assert_allclose((found.U @ found.M).numpy(), Phi, atol=1e-12)
+    sigma = np.linalg.svd(roots * found.U.numpy(), compute_uv=False)
+    assert found.regularity == pytest.approx(sigma[-1] / sigma[0], rel=1e-9)
+    expected = 1.0
+    if manipulation != "orthogonalized":
+        expected = float(evaluator_of(scenario, kernel, manipulation).definition(centers).regularity)
+    assert found.regularity == pytest.approx(expected, rel=1e-9)

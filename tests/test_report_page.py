@@ -23,6 +23,7 @@ from test_figures import change, write
 from rbfevo import collect, export
 from rbfevo.figures import __main__ as figures
 from rbfevo.figures.local_error import reached
+from rbfevo.geometry.holding import Hold
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import read
 from rbfevo.scoring import pareto
@@ -137,12 +138,18 @@ def everything(browser, tmp_path_factory) -> Iterator[tuple[Page, dict[str, Path
         return centers
 
     runs["spoiled"] = change(write(directory / "spoiled", d=3), centers=spoiled)
+    for name, uniform in (("held", True), ("held and weighted", False)):
+        runs[name] = write(directory / name, d=3, uniform=uniform, hold_width=0.5)
+        with np.load(runs[name] / "scenario.npz") as archive:
+            vertices = archive["vertices"]
+        held = vertices[vertices[:, 0] > 0.8]
+        change(runs[name], "scenario.npz", held=held, blend=Hold(held, 0.5)(vertices))
     assert collect.main([str(directory)]) == 0
     with opened(browser, directory / "report.html") as page:
         yield page, runs
 
 
-@pytest.mark.parametrize("name", [*RUNS, "spoiled"])
+@pytest.mark.parametrize("name", [*RUNS, "spoiled", "held", "held and weighted"])
 def test_what_a_setup_leaves_is_what_numpy_says(everything, name):
     page, runs = everything
     record = read(runs[name])
