@@ -518,22 +518,22 @@ def test_arrays_of_displacements_and_heights(tmp_path: Path) -> None:
         np.testing.assert_array_equal(read_rows(tmp_path / "b.npy", "weights", CENTERS, heights=True), heights)
     (tmp_path / "c.csv").write_text("center,dz\n2,-8.25\n1,5.5\n0,2\n")
     np.testing.assert_array_equal(read_rows(tmp_path / "c.csv", "displacements", CENTERS, heights=True), heights)
-    with pytest.raises(UserError, match=r"shape is \[3, 1\], but there are 3 centers: \[3, 3\] is expected"):
+    with pytest.raises(UserError, match=r"shape is \[3, 1\], but for 3 centers \[3, 3\] is expected"):
         read_rows(tmp_path / "b.npy", "weights", CENTERS, heights=False)
 
 
 BAD = {
     "": "empty",
-    "1,2,3\n4,5,6\n": "shape is [2, 3], but there are 3 centers",
-    "1,2,3,4\n1,2,3,4\n1,2,3,4\n": "needs the header center,dx,dy,dz",
+    "1,2,3\n4,5,6\n": "shape is [2, 3], but for 3 centers",
+    "1,2,3,4\n1,2,3,4\n1,2,3,4\n": "add the header center,dx,dy,dz",
     "1,2,3\n1,2\n1,2,3\n": "row 1 (from 0) has 2 fields instead of 3",
     "1,2,3\n1,a,2\n1,2,3\n": "row 1 (from 0) has 'a' where a number is expected",
-    "1,2,3\n1,nan,2\n1,2,3\n": "row 1 (from 0) is not finite",
-    "1,2,3\n1,2,2\n1,2,1e999\n": "row 2 (from 0) is not finite",
-    "center,dx,dy,dz\n0,1,2,3\n1,1,2,3\n1,1,2,3\n": "each of 0 to 2 once",
+    "1,2,3\n1,nan,2\n1,2,3\n": "row 1 (counted from 0) is not finite",
+    "1,2,3\n1,2,2\n1,2,1e999\n": "row 2 (counted from 0) is not finite",
+    "center,dx,dy,dz\n0,1,2,3\n1,1,2,3\n1,1,2,3\n": "each number from 0 to 2 once",
     "center,dx,dy,dz\n": "there are no lines with numbers in it",
     "center,wx,wy,wz\n0,1,2,3\n1,1,2,3\n2,1,2,3\n": "give it with --weights",
-    "a,b,c\n1,2,3\n1,2,3\n1,2,3\n": "center,dx,dy,dz is expected",
+    "a,b,c\n1,2,3\n1,2,3\n1,2,3\n": "must be center,dx,dy,dz",
     "PK\x03\x04 no archive": "cannot be read",
     "\x93NUMPY": "cannot be read",
 }
@@ -552,8 +552,8 @@ def test_a_bad_table_is_one_line(text: str, tmp_path: Path) -> None:
 
 def test_other_arrays_are_one_line(tmp_path: Path) -> None:
     for name, array, message in (
-        ("complex", ROWS + 1j, "does not hold numbers"),
-        ("text", np.array([["a"] * 3] * 3), "does not hold numbers"),
+        ("complex", ROWS + 1j, "are not numbers"),
+        ("text", np.array([["a"] * 3] * 3), "are not numbers"),
         ("deep", ROWS[None], r"shape is \[1, 3, 3\]"),
         ("objects", np.array([[None] * 3] * 3), "cannot be read"),
     ):
@@ -561,7 +561,7 @@ def test_other_arrays_are_one_line(tmp_path: Path) -> None:
         with pytest.raises(UserError, match=message):
             read_rows(tmp_path / f"{name}.npy", "weights", CENTERS, heights=False)
     np.savez(tmp_path / "a.npz", other=ROWS)
-    with pytest.raises(UserError, match="there is no array weights in it; there is other"):
+    with pytest.raises(UserError, match="it has no array named weights; its arrays: other"):
         read_rows(tmp_path / "a.npz", "weights", CENTERS, heights=False)
     with pytest.raises(UserError, match="no such file"):
         read_rows(tmp_path / "gone.npz", "weights", CENTERS, heights=False)

@@ -106,7 +106,7 @@ def test_a_disk_that_is_full_at_the_end_keeps_the_last_checkpoint(tmp_path, monk
     with monkeypatch.context() as patch:
         disk = FullDisk(patch)
         patch.setattr(
-            run.Run, "_final", lambda self, centers: setattr(disk, "full", True) or self.full_evaluator(centers)
+            run.Run, "rescore", lambda self, centers: setattr(disk, "full", True) or self.full_evaluator(centers)
         )
         with pytest.raises(UserError, match="No space left on device"):
             run.carry_out(settings("cmaes"), tmp_path / "run")

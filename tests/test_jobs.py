@@ -164,9 +164,9 @@ def test_two_sweeps_in_one_directory_are_refused(tmp_path, capsys):
     before = sorted(path.name for path in tmp_path.iterdir())
     try:
         assert sweep(tmp_path, "seed=0,1") == 2
-        assert "another process is at work" in capsys.readouterr().err
+        assert "another process is working" in capsys.readouterr().err
         assert main([*NSGA2, f"hydra.run.dir={tmp_path}"]) == 2
-        assert "another process is at work" in capsys.readouterr().err
+        assert "another process is working" in capsys.readouterr().err
         assert sorted(path.name for path in tmp_path.iterdir()) == before
     finally:
         held.kill()

@@ -41,7 +41,7 @@ MISTAKES = {
     "seed=x": "seed=x: a whole number is expected",
     "seed=-1": "seed=-1",
     "quiet=3.5": "true or false is expected",
-    "centers=0": "at least one center",
+    "centers=0": "give at least 1",
     "centers=1.5": "a whole number is expected",
     "centers=100000 scenario.resolution=[20,20]": "only 400 vertices",
     "preference=1.5": "not a number from 0",

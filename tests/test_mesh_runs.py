@@ -222,7 +222,7 @@ def test_a_percentage_is_of_the_boxs_diagonal(template: Path, tmp_path: Path) ->
         (["scenario.templat=a"], "did you mean scenario.template?"),
         (["scenario.fixed=[0,0]"], "a box is six numbers"),
         (["scenario.search_vertices=1"], "at least 100"),
-        (["scenario.search_vertices=100", "centers=60"], "at least twice as many"),
+        (["scenario.search_vertices=100", "centers=60"], "give at least twice centers=60"),
         (["scenario.symmetry", "y"], "write an override as key=value"),
         (["scenario.sensitivity=nothing"], "scenario.sensitivity=nothing"),
     ],

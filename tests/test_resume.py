@@ -231,9 +231,9 @@ def check_refused(directory: Path, message: str, changed: Settings | None = None
 
 
 def test_other_settings_are_refused(half):
-    check_refused(half, "made with other settings", settings("nsga2", centers=5))
-    check_refused(half, "made with other settings", settings("nsga2", seed=1))
-    check_refused(half, "made with other settings", settings("cmaes"))
+    check_refused(half, "settings differ from those of its checkpoint", settings("nsga2", centers=5))
+    check_refused(half, "settings differ from those of its checkpoint", settings("nsga2", seed=1))
+    check_refused(half, "settings differ from those of its checkpoint", settings("cmaes"))
 
 
 def test_fewer_generations_than_taken_are_refused(half):
@@ -252,7 +252,7 @@ def test_other_versions_are_told(half):
 
 def test_a_changed_design_is_refused(half, monkeypatch):
     monkeypatch.setattr("rbfevo.runs.run.digest", lambda *parts: "another")
-    check_refused(half, "has a file changed")
+    check_refused(half, "was a file replaced")
 
 
 def test_a_run_that_is_done_is_refused(tmp_path):
@@ -268,7 +268,7 @@ def test_a_gradient_search_cannot_be_lengthened(tmp_path):
 def test_a_history_that_is_too_short_is_refused(half):
     with (half / ".history.csv").open("r+b") as file:
         file.truncate(10)
-    check_refused(half, "shorter than its checkpoint expects")
+    check_refused(half, "shorter than the checkpoint requires")
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -319,7 +319,7 @@ def test_a_directory_without_a_checkpoint_is_one_line(tmp_path):
 
 
 def test_a_run_that_is_not_done_is_not_begun_anew(half):
-    with pytest.raises(UserError, match=f"resume={half} goes on with it"):
+    with pytest.raises(UserError, match=f"continue it with resume={half}"):
         run.carry_out(settings("nsga2"), half)
 
 
