@@ -35,6 +35,7 @@ class Record:
         stays: [n] bool, vertices that should not move; None if the run did not save it.
         variability: [p] rank(U)/n; None if the run did not save it.
         genotype: [p, D] setups of another representation than RBFs, whose `centers` are where control points sit.
+        gradient_raw: [n, k] the gradient before smoothing, in the scale of `gradient`; None without smoothing.
     """
 
     centers: Array
@@ -53,6 +54,7 @@ class Record:
     stays: Array | None = None
     variability: Array | None = None
     genotype: Array | None = None
+    gradient_raw: Array | None = None
 
     @property
     def scored(self) -> Array:
@@ -105,7 +107,7 @@ def read(run: Path) -> Record:
     if not run.is_dir():
         raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
     setups = _arrays(run / "setups.npz", SETUPS, ("variability", "genotype"))
-    scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays",))
+    scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays", "gradient_raw"))
     stays = scenario.pop("stays", None)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
     p, n = len(setups["regularity"]), len(scenario["vertices"])
@@ -116,6 +118,7 @@ def read(run: Path) -> Record:
         and scenario["gradient"].ndim == 2
         and all(len(scenario[key]) == n for key in ("gradient", "weights"))
         and (stays is None or stays.shape == (n,))
+        and scenario.get("gradient_raw", scenario["gradient"]).shape == scenario["gradient"].shape
         and isinstance(summary, dict)
     )
     if not fitting:

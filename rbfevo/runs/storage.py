@@ -72,6 +72,8 @@ def write_scenario(directory: Path, scenario: Scenario) -> None:
     arrays = {name: getattr(scenario, name).cpu().numpy() for name in names}
     if scenario.stays is not None:
         arrays["stays"] = scenario.stays.cpu().numpy()
+    if scenario.gradient_raw is not None:
+        arrays["gradient_raw"] = scenario.gradient_raw.cpu().numpy()  # before smoothing
     if scenario.rows is not None:
         arrays["rows"] = scenario.rows.numpy()  # which points of the template's file the vertices are
     write_whole(directory / "scenario.npz", npz(arrays))

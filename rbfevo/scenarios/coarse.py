@@ -39,6 +39,7 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
         weights=weights[:, 0],
         closest=None,
         stays=None,
+        gradient_raw=None,
     )
 
 
