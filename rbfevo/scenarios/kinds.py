@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, eye_array
 
 from rbfevo.arrays import Triangles
 from rbfevo.errors import UserError
@@ -33,8 +33,8 @@ PER_AREA = (
     (re.compile(r".*per[ _-]?(?:unit[ _-]?)?area.*"), "its name says per area (density)"),
 )
 
-RATIO = 4.0  # of the areas of two vertices that are compared
-FEWEST = 20  # vertices on either side of such a ratio
+RATIO = 3.0  # of the mean areas about two vertices that are compared: single ones differ by 4 or more then
+FEWEST, SHARE_OF_ROOT = 20, 0.25  # vertices on either side of such a ratio; of sqrt(n), the length of a line across
 NEAR_ZERO = 0.25  # slope up to which sizes clearly do not follow areas; integrated values have 1
 CERTAIN = 0.5  # which the slope stays below by twice its standard error
 
@@ -74,38 +74,38 @@ def ask(names: Iterable[str], values: Array, areas: Array, triangles: Triangles,
 
 
 def slope(values: Array, areas: Array, triangles: Triangles) -> Slope | None:
-    """Fit log|s| against log(area) between near vertices of very different areas; None if the mesh has too few.
+    """Fit log|s| against log(area) across the border of refined regions; None if the mesh has too little of one.
 
-    Pairs are vertices at most two edges apart whose areas differ by a factor of 4 or more, so that the field itself
-    changes little between them. The slope is the median of theirs, which outliers and zeros do not move; its error
-    counts each vertex of the smaller side once.
+    Areas and |s| are first averaged over each vertex and its neighbours, since single triangles of odd shape say
+    nothing. Pairs are vertices at most two edges apart whose mean areas differ by a factor of 3 or more: between them
+    the field itself changes little. The slope is the median of theirs; its error counts each vertex once.
 
     Args:
         values: [n] or [n, 3]; areas: [n]; triangles: [f, 3].
     """
     n = len(areas)
-    size = np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
     ends = topology.edges_of(n, triangles).ends
-    links = csr_array((np.ones(len(ends), np.int32), (ends[:, 0], ends[:, 1])), shape=(n, n))
-    links = csr_array(links + links.T)
-    usable = (size > 0.0) & (areas > 0.0)
-    logs = np.log(np.where(usable, areas, 1.0))
-    steep = _steep(links, logs)  # most meshes have no such vertices, and end here
-    links = links[steep] @ links + links[steep]
-    near = links.tocoo()
+    links = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n))
+    links = csr_array(links + links.T + eye_array(n))
+    size = np.abs(values) if values.ndim == 1 else np.linalg.norm(values, axis=1)
+    size, area = (links @ single / np.diff(links.indptr) for single in (size, areas))
+    usable = (size > 0.0) & (area > 0.0)
+    logs, logs_of_size = (np.log(np.where(usable, mean, 1.0)) for mean in (area, size))
+    steep = _steep(links, logs)  # most meshes have few such vertices
+    near = (links[steep] @ links).tocoo()
     small, large = steep[near.row], near.col
     kept = usable[small] & usable[large] & (logs[large] - logs[small] >= np.log(RATIO))
     small, large = small[kept], large[kept]
     fewest = min(len(np.unique(small)), len(np.unique(large)))
-    if fewest < FEWEST:
+    if fewest < max(FEWEST, SHARE_OF_ROOT * np.sqrt(n)):
         return None
-    slopes = (np.log(size[large]) - np.log(size[small])) / (logs[large] - logs[small])
+    slopes = (logs_of_size[large] - logs_of_size[small]) / (logs[large] - logs[small])
     low, middle, high = np.percentile(slopes, [25.0, 50.0, 75.0])
     return Slope(float(middle), float(1.2533 * (high - low) / 1.349 / np.sqrt(fewest)), fewest)
 
 
 def _steep(links: csr_array, logs: Array) -> NDArray[np.int64]:
-    """Vertices from which areas rise by a factor of 2 or more on one of two edges: the smaller ends of all pairs."""
+    """Vertices from which areas rise by sqrt(RATIO) or more on one of two edges: the smaller ends of all pairs."""
     start = np.repeat(np.arange(len(logs)), np.diff(links.indptr))
     rise = np.full(len(logs), -np.inf)
     np.maximum.at(rise, start, logs[links.indices] - logs[start])
