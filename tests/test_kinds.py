@@ -21,7 +21,8 @@ def refined(levels: int = 1) -> tuple[np.ndarray, np.ndarray]:
     for level in range(levels):
         centers = np.asarray(ball.triangles_center)
         inside = np.flatnonzero(centers[:, 2] > 0.1 + 0.3 * level)
-        vertices, faces = trimesh.remesh.subdivide(ball.vertices, ball.faces, face_index=inside)
+        subdivide: Any = trimesh.remesh.subdivide
+        vertices, faces = subdivide(ball.vertices, ball.faces, face_index=inside)
         ball = trimesh.Trimesh(vertices, faces, process=True)
         ball.vertices /= np.linalg.norm(ball.vertices, axis=1, keepdims=True)
     return np.asarray(ball.vertices, np.float64), np.asarray(ball.faces, np.int64)

@@ -133,10 +133,11 @@ def way(wanted: Array, vertices: Points, found: Sides, objective: str) -> str:
     """
     most = int((wanted**2).sum(axis=1).argmax())
     direction = wanted[most] / np.linalg.norm(wanted[most])
+    place = np.where(np.abs(vertices[most]) < 1e-9 * np.abs(vertices).max(), 0.0, vertices[most])
     side = f"{_side(direction, found.outward[most])}, " if found.sided else ""
     against = "against" if objective == "minimize" else "along"
     return (
-        f"it wants to move most at {_numbers(vertices[most])}: {side}along {_numbers(direction.round(2) + 0.0)}, "
+        f"it wants to move most at {_numbers(place)}: {side}along {_numbers(direction.round(2) + 0.0)}, "
         f"{against} the sensitivity (scenario.objective={objective})"
     )
 
