@@ -106,8 +106,21 @@ def test_held_vertices_keep_zero_and_do_not_pull(integrated: bool) -> None:
     areas = np.where(held, 0.0, AREAS)
     density = noise / AREAS[:, None] if integrated else noise
     expected = dense(density, areas, free, LENGTH) * (AREAS[:, None] if integrated else 1.0)
-    found = smoothing.smoothed(noise, X, FACES, np.ones(len(X)), held, LENGTH, integrated).wanted
-    np.testing.assert_allclose(found, expected, atol=1e-10)
+    for rows in (noise, NODAL):  # what a held vertex should do counts for nothing
+        found = smoothing.smoothed(rows, X, FACES, np.ones(len(X)), held, LENGTH, integrated).wanted
+        np.testing.assert_allclose(found, expected, atol=1e-10)
+
+
+@pytest.mark.parametrize("integrated", [True, False])
+def test_the_share_is_that_of_the_weighted_norm(integrated: bool) -> None:
+    weights = np.exp(2.0 * X[:, 0])
+    still = np.zeros(len(X), bool)
+    found = smoothing.smoothed(NODAL, X, FACES, weights, still, LENGTH, integrated)
+    factor = weights[:, None] / AREAS[:, None] if integrated else 1.0
+    expected = dense(NODAL * factor, AREAS, FACES, LENGTH) / factor
+    np.testing.assert_allclose(found.wanted, expected, atol=1e-9 * np.abs(expected).max())
+    before, after = ((weights[:, None] * rows**2).sum() for rows in (NODAL, expected))
+    assert found.removed == pytest.approx(1.0 - after / before, rel=1e-9)
 
 
 def test_fixed_vertices_of_a_scenario_stay_out(tmp_path: Path) -> None:
