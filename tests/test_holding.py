@@ -31,6 +31,7 @@ from rbfevo.scoring.kernels import Wendland
 from rbfevo.scoring.symmetric import MirroredEvaluator, evaluator_of
 
 SUPPORT = 1.5
+WIDE = "scenario.hold_width=2.5"
 
 
 def smooth_step(distance: np.ndarray, width: float) -> np.ndarray:
@@ -415,7 +416,7 @@ def test_a_run_is_resumed_only_with_the_same_hold(egg: Path, tmp_path: Path) -> 
 
 
 def test_ols_picks_the_candidate_that_gains_most_under_the_hold(egg: Path, tmp_path: Path) -> None:
-    run = a_run(egg, tmp_path / "run", "method=ols", "method.per_axis=7", "centers=1", "scenario.keep_out=false")
+    run = a_run(egg, tmp_path / "run", "method=ols", "method.per_axis=7", "centers=1", "scenario.keep_out=false", WIDE)
     record = read(run)
     axes = [np.linspace(a, b, 7) for a, b in zip(record.lower, record.upper, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

@@ -213,17 +213,6 @@ def test_centers_kept_out_of_an_array_do_not_meet(folder: Path, method: str) -> 
     assert float(apart.min()) > 1e-3
 
 
-def test_normals_of_an_open_surface_that_point_inwards_are_warned_about(tmp_path: Path) -> None:
-    cap: Any = pv.wrap(BALL).clip("z", origin=(0.0, 0.0, 1.0)).triangulate()
-    triangles = np.asarray(cap.regular_faces)
-    for name, faces in (("out", triangles), ("in", triangles[:, ::-1])):
-        surface = pv.PolyData.from_regular_faces(np.asarray(cap.points), faces)
-        surface["s"] = np.ones(surface.n_points)
-        surface.save(tmp_path / f"{name}.vtp")
-        warnings = mesh(template=str(tmp_path / f"{name}.vtp"), sensitivity="s").warnings
-        assert ["point inwards" in warning for warning in warnings] == ([True] if name == "in" else [])
-
-
 def test_rows_for_an_stl_file_are_doubted(folder: Path, tmp_path: Path) -> None:
     BALL.export(tmp_path / "ball.stl")
     np.save(tmp_path / "s.npy", np.arange(len(X)) + 1.0)

@@ -154,6 +154,7 @@ def egg(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         "_target_": "rbfevo.scenarios.mesh",
         "template": str(directory / "egg.ply"),
         "sensitivity": str(directory / "s.npy"),
+        "sensitivity_kind": "nodal",
         "weights": "area",
         "symmetry": "y",
         "symmetry_at": 0.0,

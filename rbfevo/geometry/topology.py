@@ -14,7 +14,7 @@ from rbfevo.geometry.crossings import piercing_edges
 from rbfevo.geometry.triangles import doubled_area_vectors, triangle_areas
 
 MOST_TRIANGLES = 200_000  # up to which crossings are searched for
-_FLAT = 1e-3  # volume over area^1.5, below which a surface has no inside; a ball has 0.094
+FLAT = 1e-3  # volume over area^1.5, below which a surface has no inside; a ball has 0.094
 _SHELLS = 100  # of the largest closed pieces, in which others are searched for
 
 
@@ -109,12 +109,26 @@ def inward(vertices: Points, triangles: Triangles) -> bool:
 
     False for closed surfaces, and where the enclosed volume is negligible, as for a flat sheet.
     """
+    return enclosed(vertices, triangles) < -FLAT and bool(rim(vertices, triangles).size)
+
+
+def enclosed(vertices: Points, triangles: Triangles) -> float:
+    """Return the volume that a surface encloses once its holes are closed towards their middle, over its area^1.5.
+
+    Positive where the normals point outwards; 0 for a surface without triangles.
+    """
+    area = float(triangle_areas(vertices, triangles).sum())
+    if area == 0.0:
+        return 0.0
     border = rim(vertices, triangles)
-    if not border.size:
-        return False
-    a, b, c = np.moveaxis(vertices[triangles] - vertices[border].mean(axis=0), 1, 0)
-    enclosed = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0
-    return enclosed < -_FLAT * float(triangle_areas(vertices, triangles).sum()) ** 1.5
+    middle = vertices[border if border.size else triangles.reshape(-1)].mean(axis=0)
+    a, b, c = np.moveaxis(vertices[triangles] - middle, 1, 0)
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6.0 / area**1.5
+
+
+def clashes(edges: Edges) -> int:
+    """Return at how many edges of just two triangles these are wound against each other."""
+    return int(((edges.uses == 2) & (edges.balance != 0)).sum())
 
 
 def rim(vertices: Points, triangles: Triangles) -> NDArray[np.int64]:

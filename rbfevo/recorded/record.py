@@ -36,6 +36,7 @@ class Record:
         variability: [p] rank(U)/n; None if the run did not save it.
         blend: [n] what rows of U are multiplied by, 0 where a vertex is held, and the held points [h, d]; None without.
         genotype: [p, D] setups of another representation than RBFs, whose `centers` are where control points sit.
+        gradient_raw: [n, k] the gradient before smoothing, in the scale of `gradient`; None without smoothing.
     """
 
     centers: Array
@@ -109,7 +110,7 @@ def read(run: Path) -> Record:
     if not run.is_dir():
         raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
     setups = _arrays(run / "setups.npz", SETUPS, ("variability", "genotype"))
-    scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays", "blend", "held"))
+    scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays", "blend", "held", "gradient_raw"))
     stays = scenario.pop("stays", None)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
     p, n = len(setups["regularity"]), len(scenario["vertices"])
@@ -122,6 +123,7 @@ def read(run: Path) -> Record:
         and (stays is None or stays.shape == (n,))
         and ("blend" not in scenario or scenario["blend"].shape == (n,))
         and ("blend" in scenario) == ("held" in scenario)
+        and scenario.get("gradient_raw", scenario["gradient"]).shape == scenario["gradient"].shape
         and isinstance(summary, dict)
     )
     if not fitting:

@@ -74,6 +74,8 @@ def write_scenario(directory: Path, scenario: Scenario) -> None:
         arrays["stays"] = scenario.stays.cpu().numpy()
     if scenario.hold is not None and scenario.blend is not None:
         arrays["blend"], arrays["held"] = scenario.blend.cpu().numpy(), scenario.hold.points
+    if scenario.gradient_raw is not None:
+        arrays["gradient_raw"] = scenario.gradient_raw.cpu().numpy()  # before smoothing
     if scenario.rows is not None:
         arrays["rows"] = scenario.rows.numpy()  # which points of the template's file the vertices are
     write_whole(directory / "scenario.npz", npz(arrays))

@@ -46,6 +46,8 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
         "threads": run.threads,
         "gradient_norm": run.scenario.gradient_norm if math.isfinite(run.scenario.gradient_norm) else None,
         "gradient_is": "direction" if run.scenario.direction_only else "displacement",
+        "objective": run.scenario.objective,
+        "smooth": run.scenario.smooth,
         "symmetry": symmetry,
         "hold_width": None if run.scenario.hold is None else run.scenario.hold.width,
         "up": run.scenario.up,

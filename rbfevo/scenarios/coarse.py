@@ -45,6 +45,7 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
         closest=None,
         stays=None,
         blend=None if blend is None else blend[:, 0],
+        gradient_raw=None,
     )
 
 

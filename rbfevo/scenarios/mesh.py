@@ -16,15 +16,13 @@ from rbfevo.geometry import placement, topology
 from rbfevo.geometry.correspondence import Points, Triangles
 from rbfevo.geometry.lengths import length
 from rbfevo.geometry.pairing import REJECTIONS, Pairing, pair
-from rbfevo.scenarios import fixing, sensitivities
+from rbfevo.scenarios import fixing, sensitivities, signs, smoothing
 from rbfevo.scenarios import symmetry as symmetry_plane
-from rbfevo.scenarios.matching import MATCHES
 from rbfevo.scenarios.reading import checked_extent, read_surface
 from rbfevo.scenarios.sampling import open_faces, surface_sampler
-from rbfevo.scenarios.scenario import Scenario, near_one, times_power_of_two, unit_gradient
+from rbfevo.scenarios.scenario import Scenario, times_power_of_two, unit_gradient
 from rbfevo.scenarios.templates import Template, read_template
 from rbfevo.scenarios.units import nearest_unit
-from rbfevo.scenarios.vertex_arrays import vertex_array
 
 WEIGHTS = ("uniform", "area")
 MIXED_UNITS = 20.0  # ratio of sizes: metres and millimetres, or inches and millimetres
@@ -35,7 +33,8 @@ def mesh(
     patches: Any = None,
     target: str | None = None,
     sensitivity: str | None = None,
-    sensitivity_kind: str = "nodal",
+    sensitivity_kind: str | None = None,
+    sensitivity_normal: str | None = None,
     sensitivity_match: str = "exact",
     objective: str = "minimize",
     target_scale: float | None = None,
@@ -46,6 +45,7 @@ def mesh(
     hold_width: Any = "5%",
     keep_out: bool | None = None,
     weights: str = "uniform",
+    smooth: Any = None,
     symmetry: str | None = None,
     symmetry_at: float | None = None,
     support: Any = "15%",
@@ -60,7 +60,10 @@ def mesh(
         target: a mesh or cloud as `read_surface` takes it: vertices should move to their closest points on it.
         sensitivity: the name of a point or cell array of the template, or a CSV, NPY or NPZ file: one value a vertex,
             taken along its normal, or three.
-        sensitivity_kind: `nodal` (integrated over a vertex's share of the surface) or `density` (per area).
+        sensitivity_kind: `nodal` (integrated over a vertex's share of the surface) or `density` (per area); None is
+            nodal, but doubts are refused.
+        sensitivity_normal: `outward` or `as_wound` (by the file): the normal that one value per vertex refers to; None
+            where both are the same.
         sensitivity_match: `exact`: a table's rows are those of the template's points, in any order; `nearest` or
             `interpolate`: of another mesh of the same surface, values per area then.
         objective: `minimize`: the design wants to move against the sensitivity; `maximize`: along it.
@@ -73,6 +76,7 @@ def mesh(
         hold_width: where the blend reaches 1: model units, or a percentage of the box's diagonal.
         keep_out: whether centers may not sit among the fixed and held vertices; None: only with `hold`.
         weights: `uniform`, each vertex counts the same (the paper), or `area`.
+        smooth: length over which g is smoothed, model units or a percentage of the box's diagonal; None leaves it.
         symmetry: x, y or z: setups stay symmetric about the plane across that axis, at `symmetry_at` or, where that is
             None, in the middle of the template.
         support: default support radius of compact kernels: model units, or a percentage of the box's diagonal.
@@ -83,9 +87,7 @@ def mesh(
         UserError: on a setting out of range, an unusable file, or if no vertex is left that should move.
     """
     _check(template, reject, margin, weights, search_vertices, up)
-    sensitivities.check(sensitivity_kind, objective)
-    if sensitivity_match not in MATCHES:
-        raise UserError(f"scenario.sensitivity_match={sensitivity_match}: choose one of {', '.join(MATCHES)}")
+    choices = sensitivities.Choices(sensitivity_kind, sensitivity_normal, sensitivity_match, objective)
     read = read_template(str(template), _names(patches))
     notes = {"template": f"{template}: {len(read.vertices)} vertices, {len(read.triangles)} triangles"} | read.notes
     if (target is None) == (sensitivity is None):
@@ -100,30 +102,15 @@ def mesh(
     lower, upper = _box(read.vertices, margin)
     mirror = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, design.triangles, lower, upper)
     if target is not None:
-        if objective != "minimize" or sensitivity_kind != "nodal":
-            raise UserError(
-                "scenario.objective and scenario.sensitivity_kind belong to a sensitivity, not a target; remove them"
-            )
+        choices.refuse_with_target()
         pairing, more, warnings = _paired(design, target, target_scale, reject)
-        exponent = 0
+        exponent, sides = 0, None
         wanted, stays = pairing.displacement, pairing.rejected
     else:
         pairing = None
-        given = vertex_array(str(sensitivity), read, "sensitivity", sensitivity_match, sensitivity_kind)
-        values = given.values
-        if given.other_mesh and sensitivity_kind == "nodal":
-            raise UserError(
-                f"scenario.sensitivity_match={sensitivity_match}: integrated values depend on the cells of their own "
-                "mesh; give values per area, and set scenario.sensitivity_kind=density"
-            )
-        if not np.any(values):
-            raise UserError(f"scenario.sensitivity={sensitivity}: it is zero at every vertex, so nothing should move")
-        values, exponent = near_one(values)  # in the units of an adjoint solver values may be huge or tiny
-        wanted = sensitivities.wanted(values, design.normals, design.areas, design.mass, sensitivity_kind, objective)
+        given = str(sensitivity), choices, read, str(template), design.areas, design.mass
+        wanted, exponent, sides, more, warnings = sensitivities.descent(*given)
         stays = np.zeros(len(wanted), bool)
-        warnings = _sensitivity_warnings(design, str(template), str(sensitivity), read, values)
-        more = {"sensitivity": _convention(str(sensitivity), values, sensitivity_kind, objective)}
-        more["sensitivity rows"] = given.note
     notes |= more
     still = fixing.fixing(fixed, hold, hold_width, keep_out, read, (lower, upper), mirror)
     stays, wanted = stays | still.stays, np.where(still.stays[:, None], 0.0, wanted)
@@ -133,8 +120,17 @@ def mesh(
             f"{target or sensitivity}: no vertex is left that should move; check scenario.fixed, hold and reject"
         )
 
+    diagonal = float((upper - lower).norm())
+    over = None if smooth is None else length("scenario.smooth", smooth, diagonal)
+    raw = wanted
+    if over is not None:
+        found = smoothing.smoothed(wanted, read.vertices, design.triangles, design.mass, stays, over, target is None)
+        wanted, notes["smooth"] = found.wanted, smoothing.note(found, read.vertices, design.triangles, over)
+    if sides is not None:
+        notes["largest move"] = signs.way(wanted, read.vertices, sides, objective)
     vertices, faces, mass = (torch.from_numpy(part) for part in (read.vertices, design.triangles, design.mass))
     gradient, norm = unit_gradient(torch.from_numpy(wanted), mass)
+    gradient_raw = None if over is None else torch.from_numpy(raw) / norm
     norm = times_power_of_two(norm, exponent)
     if mirror is not None:
         of_symmetry = mirror, read.vertices, design.triangles, gradient.numpy(), design.mass
@@ -148,7 +144,7 @@ def mesh(
         weights=mass,
         lower=lower,
         upper=upper,
-        support=length("scenario.support", support, float((upper - lower).norm())),
+        support=length("scenario.support", support, diagonal),
         sample=surface_sampler(vertices, open_faces(vertices, faces, still.region)),
         gradient_norm=norm,
         notes=notes,
@@ -163,6 +159,9 @@ def mesh(
         rows=torch.from_numpy(read.rows),
         hold=still.hold,
         blend=None if still.blend is None else torch.from_numpy(still.blend),
+        objective=None if target is not None else objective,
+        smooth=over,
+        gradient_raw=gradient_raw,
     )
 
 
@@ -269,27 +268,3 @@ def _paired(
             f"the target lies {apart.max():.3g} away from the template: do both have the same coordinate system?"
         )
     return found, notes, warnings
-
-
-def _sensitivity_warnings(
-    design: _Design, template: str, source: str, read: Template, values: NDArray[np.float64]
-) -> list[str]:
-    """Warnings about a sensitivity whose side or order of rows the files leave open."""
-    found = []
-    if values.ndim == 1 and topology.inward(design.vertices, design.triangles):
-        found.append(
-            f"{template}: the surface is open, and its normals seem to point inwards, but the sensitivity is taken "
-            "along outward normals: turn the triangles, or set scenario.objective=maximize"
-        )
-    if template.lower().endswith(".stl") and source not in read.arrays:
-        found.append(
-            f"{source}: an STL file has no order of vertices, so rows are taken in the order in which vertices first "
-            "appear in it; to be certain, use a VTP file that contains the array"
-        )
-    return found
-
-
-def _convention(source: str, values: NDArray[np.float64], kind: str, objective: str) -> str:
-    form = "one value per vertex, along its normal" if values.ndim == 1 else "three components per vertex"
-    way = "against" if objective == "minimize" else "along"
-    return f"{source}: {form}, {kind}; to {objective} the objective, the design should move {way} it"

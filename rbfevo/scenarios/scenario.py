@@ -50,6 +50,10 @@ class Scenario:
         rows: [n] which points of the template's file the vertices are, or None where there is no file.
         hold: what makes the blend anywhere in space, or None where nothing is held.
         blend: [n] from 0 (held) to 1: rows of U, and not of g, are multiplied by it; g is 0 where it is 0. Or None.
+        objective: of a sensitivity, `minimize` or `maximize`; None for targets.
+        smooth: length over which g was smoothed, model units, or None.
+        gradient_raw: [n, k] g before smoothing, in the scale of `gradient`: displacement = gradient_raw *
+            gradient_norm; None where it was not smoothed, and on coarse designs.
     """
 
     name: str
@@ -74,6 +78,9 @@ class Scenario:
     rows: Tensor | None = None
     hold: Hold | None = None
     blend: Tensor | None = None
+    objective: str | None = None
+    smooth: float | None = None
+    gradient_raw: Tensor | None = None
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
@@ -84,6 +91,7 @@ class Scenario:
             or self.upper.shape != (d,)
             or (self.stays is not None and self.stays.shape != (n,))
             or (self.blend is not None and self.blend.shape != (n,))
+            or (self.gradient_raw is not None and self.gradient_raw.shape != self.gradient.shape)
         ):
             raise UserError(f"scenario {self.name}: vertices, gradient, weights and box have shapes that do not match")
         for name in ("vertices", "gradient", "weights", "lower", "upper"):
@@ -134,11 +142,12 @@ class Scenario:
         parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
         if not bool((parts["gradient"] != 0).any()):
             return self
-        return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None)
+        return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None, gradient_raw=None)
 
     def to(self, device: torch.device) -> Scenario:
         """The same scenario with its tensors on `device`."""
         names = ("vertices", "faces", "gradient", "weights", "lower", "upper", "stays", "blend")
+        names = ("vertices", "faces", "gradient", "weights", "lower", "upper", "stays", "gradient_raw")
         values = {name: getattr(self, name) for name in names}
         moved: dict[str, Any] = {name: value.to(device) for name, value in values.items() if value is not None}
         return dataclasses.replace(self, **moved)

@@ -27,11 +27,15 @@ ENDINGS = (".csv", ".txt", ".npy", ".npz")
 
 
 class VertexArray(NamedTuple):
-    """Values [n] or [n, 3] of the vertices, how they were found, and whether they are another mesh's."""
+    """Values [n] or [n, 3] of the vertices, how they were found, whether they are another mesh's, and their names.
+
+    The names are that of the array, or of a file, without its ending, and the columns.
+    """
 
     values: Array
     note: str
     other_mesh: bool = False
+    names: tuple[str, ...] = ()
 
 
 def vertex_array(source: str, template: Template, what: str, match: str = "exact", kind: str = "nodal") -> VertexArray:
@@ -52,11 +56,13 @@ def vertex_array(source: str, template: Template, what: str, match: str = "exact
     """
     try:
         if source in template.arrays:
-            return VertexArray(_fitting(template.arrays[source], template), f"point array {source}")
+            return VertexArray(_fitting(template.arrays[source], template), f"point array {source}", names=(source,))
         if source in template.cell_arrays:
-            return _of_cells(template.cell_arrays[source], template, kind, f"cell array {source}")
+            found = _of_cells(template.cell_arrays[source], template, kind, f"cell array {source}")
+            return found._replace(names=(source,))
         path = _file(source, template)
-        return _read(path, template, what, match, kind)
+        found = _read(path, template, what, match, kind)
+        return found._replace(names=(path.stem, *found.names))
     except UserError as error:
         raise UserError(f"scenario.{what}={source}: {error}") from None
 
@@ -159,7 +165,8 @@ def _of_table(table: TextTable, template: Template, what: str, match: str, kind:
         values = _chosen(table, columns, what).columns
     if not columns.coordinates and not columns.ids:
         found = _by_order(table.numbers(values), template, kind)
-        return found._replace(note="; ".join([_titled(table, values) + found.note, *table.notes]))
+        note = "; ".join([_titled(table, values) + found.note, *table.notes])
+        return found._replace(note=note, names=_columns(table, values))
     if columns.coordinates:
         axes = tuple(sorted(columns.coordinates))
         places = table.numbers([columns.coordinates[axis] for axis in axes])
@@ -174,11 +181,16 @@ def _of_table(table: TextTable, template: Template, what: str, match: str, kind:
     if bad and found.places is not None:
         raise UserError(f"{bad} of its {len(numbers)} rows have values that are not finite (NaN or infinite)")
     carried = _fitting(matching.interpolated(numbers, found, template), template)
-    return VertexArray(carried, "; ".join([_titled(table, values) + found.note, *table.notes]), other)
+    note = "; ".join([_titled(table, values) + found.note, *table.notes])
+    return VertexArray(carried, note, other, _columns(table, values))
+
+
+def _columns(table: TextTable, values: tuple[int, ...]) -> tuple[str, ...]:
+    return () if table.header is None else tuple(table.header[column] for column in values)
 
 
 def _titled(table: TextTable, values: tuple[int, ...]) -> str:
-    return "" if table.header is None else f"{', '.join(table.header[column] for column in values)}: "
+    return "" if table.header is None else f"{', '.join(_columns(table, values))}: "
 
 
 def _by_ids(table: TextTable, columns: Columns, template: Template) -> Match:

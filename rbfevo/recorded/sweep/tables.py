@@ -26,7 +26,7 @@ SEEN_IN_MESH = tuple(
     f"scenario.{key}"
     for key in (
         *("template", "patches", "target", "sensitivity", "sensitivity_kind", "sensitivity_match", "objective"),
-        *("target_scale", "reject", "weights"),
+        *("sensitivity_normal", "target_scale", "reject", "weights", "smooth"),
         *("resolution", "subdivisions", "scan", "up", "front"),
     )
 )
