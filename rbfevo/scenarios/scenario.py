@@ -146,8 +146,7 @@ class Scenario:
 
     def to(self, device: torch.device) -> Scenario:
         """The same scenario with its tensors on `device`."""
-        names = ("vertices", "faces", "gradient", "weights", "lower", "upper", "stays", "blend")
-        names = ("vertices", "faces", "gradient", "weights", "lower", "upper", "stays", "gradient_raw")
+        names = ("vertices", "faces", "gradient", "weights", "lower", "upper", "stays", "blend", "gradient_raw")
         values = {name: getattr(self, name) for name in names}
         moved: dict[str, Any] = {name: value.to(device) for name, value in values.items() if value is not None}
         return dataclasses.replace(self, **moved)
