@@ -20,6 +20,7 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
     """The contents of `summary.json`."""
     evaluations, mirror = run.total("evaluations"), run.scenario.mirror
     symmetry = None if mirror is None else {"axis": "xyz"[mirror.axis], "at": mirror.at}
+    plane = run.scenario.planar
     return {
         "scenario": run.scenario.name,
         "kernel": run.kernel.name,
@@ -47,6 +48,7 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
         "gradient_norm": run.scenario.gradient_norm if math.isfinite(run.scenario.gradient_norm) else None,
         "gradient_is": "direction" if run.scenario.direction_only else "displacement",
         "symmetry": symmetry,
+        "planar": None if plane is None else {"axis": plane.name, "at": plane.at},
         "up": run.scenario.up,
         "vertices": len(run.scenario.vertices),
         "search_vertices": len(run.searched.vertices),

@@ -13,6 +13,7 @@ from rbfevo.errors import UserError
 from rbfevo.geometry.correspondence import Mask, Points
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.parameterization import BoxRegion, Region, VertexRegion
+from rbfevo.scenarios.planar import Planar
 from rbfevo.scenarios.templates import Template
 from rbfevo.scenarios.vertex_arrays import vertex_array
 
@@ -27,7 +28,14 @@ class Fixing(NamedTuple):
     note: str
 
 
-def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor, mirror: Mirror | None = None) -> Fixing:
+def fixing(
+    value: Any,
+    template: Template,
+    lower: Tensor,
+    upper: Tensor,
+    mirror: Mirror | None = None,
+    planar: Planar | None = None,
+) -> Fixing:
     """The vertices of a template that `scenario.fixed` fixes.
 
     Args:
@@ -35,6 +43,7 @@ def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor, mirror:
             marks a vertex as fixed.
         lower, upper: [3] corners of the scenario's box.
         mirror: the symmetry plane, or None: the region where no center may sit is then symmetric.
+        planar: of a planar design, or None: front and back are both fixed, and the region reaches through both.
 
     Raises:
         UserError: for anything else, or if no vertex is fixed, or every one is.
@@ -46,14 +55,19 @@ def fixing(value: Any, template: Template, lower: Tensor, upper: Tensor, mirror:
     else:
         low, high = _box(value)
         fixed = np.asarray(((template.vertices >= low) & (template.vertices <= high)).all(axis=1), bool)
+    if planar is not None:
+        fixed = planar.either(fixed)
     if not fixed.any():
         spans = ", ".join(f"{a:g} to {b:g}" for a, b in zip(*_extent(template.vertices), strict=True))
         raise UserError(f"scenario.fixed={value}: this fixes no vertex (the template spans {spans})")
     if fixed.all():
         raise UserError(f"scenario.fixed={value}: this fixes every vertex, so nothing can move")
     if low is None or high is None:
-        region: Region = VertexRegion(torch.from_numpy(template.vertices), torch.from_numpy(fixed), mirror)
+        places = template.vertices if planar is None else planar.plane.pinned(template.vertices)
+        region: Region = VertexRegion(torch.from_numpy(places), torch.from_numpy(fixed), mirror)
     else:
+        if planar is not None:
+            low[planar.plane.axis], high[planar.plane.axis] = -np.inf, np.inf
         region = BoxRegion(torch.from_numpy(low), torch.from_numpy(high), (lower, upper), mirror)
     return Fixing(fixed, region, f"{int(fixed.sum())} of {len(fixed)} vertices are fixed")
 

@@ -20,6 +20,7 @@ from rbfevo.geometry.parameterization import Region
 from rbfevo.scenarios import fixing, sensitivities
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.matching import MATCHES
+from rbfevo.scenarios.planar import Planar
 from rbfevo.scenarios.reading import checked_extent, read_surface
 from rbfevo.scenarios.scenario import Sampler, Scenario, near_one, times_power_of_two, unit_gradient
 from rbfevo.scenarios.templates import Template, read_template
@@ -46,6 +47,7 @@ def mesh(
     weights: str = "uniform",
     symmetry: str | None = None,
     symmetry_at: float | None = None,
+    planar: str | None = None,
     support: Any = "15%",
     search_vertices: int | None = None,
     up: str = "z",
@@ -70,6 +72,8 @@ def mesh(
         weights: `uniform`, each vertex counts the same (the paper), or `area`.
         symmetry: x, y or z: setups stay symmetric about the plane across that axis, at `symmetry_at` or, where that is
             None, in the middle of the template.
+        planar: x, y or z: a design of two dimensions, the axis across its plane: a slab one cell thick, whose front and
+            back move alike, or a curve.
         support: default support radius of compact kernels: model units, or a percentage of the box's diagonal.
         search_vertices: weighted vertices that searches look at; None for all.
         up: the axis that is up in pictures, x, y or z.
@@ -87,17 +91,22 @@ def mesh(
         raise UserError(_which(read, target is not None))
     design, oddities = _Design.of(read, weights)
     notes |= oddities
-    if topology.flat(read.vertices):
+    flat = Planar.of(planar, read.vertices)
+    if flat is not None:
+        design, notes["planar"] = design.planar(flat), flat.note
+    elif topology.flat(read.vertices):
         notes["flat"] = (
             "all vertices lie in one plane: sensitivities along the normal and targets outside the plane move them out "
             "of it; vectors within the plane keep it flat"
         )
     lower, upper = _box(read.vertices, margin)
+    if flat is not None and symmetry == planar:
+        raise UserError(f"scenario.symmetry={symmetry} and scenario.planar={planar}: choose two different axes")
     mirror = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, design.triangles, lower, upper)
     if target is not None:
         if objective != "minimize" or sensitivity_kind != "nodal":
             raise UserError("scenario.objective and scenario.sensitivity_kind belong to a sensitivity, not to a target")
-        pairing, more, warnings = _paired(design, target, target_scale, reject)
+        pairing, more, warnings = _paired(design, target, target_scale, reject, flat)
         exponent = 0
         wanted, stays = pairing.displacement, pairing.rejected
     else:
@@ -120,14 +129,20 @@ def mesh(
     notes |= more
     region: Region | None = None
     if fixed is not None:
-        held = fixing.fixing(fixed, read, lower, upper, mirror)
+        held = fixing.fixing(fixed, read, lower, upper, mirror, flat)
         stays, wanted = stays | held.fixed, np.where(held.fixed[:, None], 0.0, wanted)
         region = held.region if keep_out else None
         notes["fixed"] = held.note + (", and centers are kept out of their region" if keep_out else "")
     elif keep_out:
         raise UserError("scenario.keep_out=true needs scenario.fixed, the vertices that centers are kept away from")
+    if flat is not None:
+        stays = flat.either(stays)
+        wanted = np.where(stays[:, None], 0.0, wanted)
     if not wanted.any():
         raise UserError(f"{target or sensitivity}: no vertex is left that should move; check scenario.fixed and reject")
+    if flat is not None:
+        wanted, more = flat.wanted(wanted, design.mass)
+        notes |= more
 
     vertices, faces, mass = (torch.from_numpy(part) for part in (read.vertices, design.triangles, design.mass))
     gradient, norm = unit_gradient(torch.from_numpy(wanted), mass)
@@ -144,7 +159,7 @@ def mesh(
         weights=mass,
         lower=lower,
         upper=upper,
-        support=length("scenario.support", support, float((upper - lower).norm())),
+        support=_support(support, lower, upper, flat),
         sample=_sampler(vertices, _open_faces(vertices, faces, region)),
         gradient_norm=norm,
         notes=notes,
@@ -157,6 +172,7 @@ def mesh(
         search_vertices=search_vertices,
         up=up,
         rows=torch.from_numpy(read.rows),
+        planar=None if flat is None else flat.plane,
     )
 
 
@@ -181,6 +197,12 @@ class _Design:
         areas = topology.vertex_areas(vertices, triangles)
         mass = areas / areas.mean() if weights == "area" else np.ones(len(areas))
         return _Design(vertices, triangles, topology.vertex_normals(vertices, triangles), areas, mass), notes
+
+    def planar(self, flat: Planar) -> _Design:
+        """The same as a planar design: normals in the plane, and areas and mass alike for front and back."""
+        normals = flat.normals(self.vertices, self.triangles)
+        areas, mass = flat.averaged(self.areas), flat.averaged(self.mass)
+        return dataclasses.replace(self, normals=normals, areas=areas, mass=mass)
 
 
 def _names(patches: Any) -> tuple[str, ...] | None:
@@ -226,8 +248,15 @@ def _box(vertices: Points, margin: float) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(low - around), torch.from_numpy(high + around)
 
 
+def _support(value: Any, lower: Tensor, upper: Tensor, flat: Planar | None) -> float:
+    """The default support radius, model units: a percentage is of the diagonal of the box, or of its planar cut."""
+    if flat is None:
+        return length("scenario.support", value, float((upper - lower).norm()))
+    return flat.support(value, float((upper - lower)[flat.plane.others].norm()))
+
+
 def _paired(
-    design: _Design, target: str, scale: float | None, reject: str
+    design: _Design, target: str, scale: float | None, reject: str, flat: Planar | None = None
 ) -> tuple[Pairing, dict[str, str], list[str]]:
     """Pairs of the design's vertices with the target, after a check of its unit; notes and warnings."""
     points, triangles = read_surface(target)
@@ -243,10 +272,20 @@ def _paired(
             f"{target}: the target's diagonal is {its:.4g}, the template's {mine:.4g}: are their units different? Set "
             f"scenario.target_scale={nearest_unit(mine / its):g} to scale the target, or 1 to keep its size"
         )
+    apart = np.maximum(
+        points.min(axis=0) - design.vertices.max(axis=0), design.vertices.min(axis=0) - points.max(axis=0)
+    )
+    vertices = design.vertices
+    if flat is not None:
+        points, triangles = flat.target(target, points, triangles)
+        vertices, apart = flat.plane.pinned(vertices), apart[flat.plane.others]
+        reject = "none" if triangles is None else reject
     points, triangles = placement.merge_coincident(points, triangles)
     if triangles is not None and len(triangles) == 0:
         raise UserError(f"{target}: merging coincident vertices leaves no triangle; check the file")
-    found = pair(design.vertices, design.normals, points, triangles, reject)
+    found = pair(vertices, design.normals, points, triangles, reject)
+    if flat is not None:
+        found = flat.kept_in_plane(found)
     kind = "a cloud" if triangles is None else f"{len(triangles)} triangles"
     notes = {"target": f"{target}: {len(points)} distinct vertices, {kind}"} | found.notes
     if found.rejected.all():
@@ -254,9 +293,6 @@ def _paired(
             f"{target}: all pairs of template and target are rejected; check that both are in the same place, or set "
             "scenario.reject=none"
         )
-    apart = np.maximum(
-        points.min(axis=0) - design.vertices.max(axis=0), design.vertices.min(axis=0) - points.max(axis=0)
-    )
     warnings = []
     if apart.max() > mine:
         warnings.append(

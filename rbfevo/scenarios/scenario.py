@@ -15,6 +15,7 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.parameterization import Parameterization, Region
+from rbfevo.geometry.planar import Plane
 
 Sampler = Callable[[int, int, torch.Generator], Tensor]
 Closest = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -47,6 +48,8 @@ class Scenario:
         up: the axis that is up in pictures, x, y or z.
         warnings: a line for each reason to doubt the results.
         rows: [n] which points of the template's file the vertices are, or None where there is no file.
+        planar: the mid-plane of a planar design, which is a slab one cell thick or a curve, or None. Centers sit in it,
+            and g has no component along its axis.
     """
 
     name: str
@@ -69,6 +72,7 @@ class Scenario:
     up: str = "y"
     warnings: list[str] = dataclasses.field(default_factory=list)
     rows: Tensor | None = None
+    planar: Plane | None = None
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
@@ -86,8 +90,11 @@ class Scenario:
 
     @property
     def diagonal(self) -> float:
-        """Length of the box's diagonal, model units."""
-        return float((self.upper - self.lower).norm())
+        """Length of the box's diagonal, of a planar design of that of its cut with the mid-plane, model units."""
+        sides = self.upper - self.lower
+        if self.planar is not None:
+            sides = sides[self.planar.others]
+        return float(sides.norm())
 
     @property
     def side(self) -> float:
@@ -108,7 +115,7 @@ class Scenario:
     @property
     def parameterization(self) -> Parameterization:
         """The map from points in the box to setups."""
-        return Parameterization(self.mirror, self.side, self.keep_out)
+        return Parameterization(self.mirror, self.side, self.keep_out, self.planar)
 
     def half(self, open_only: bool = False) -> Scenario:
         """The design on the centers' side of the mirror, plane included; the whole one where there is no mirror.
@@ -127,6 +134,19 @@ class Scenario:
         parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in ("vertices", "gradient", "weights")}
         if not bool((parts["gradient"] != 0).any()):
             return self
+        return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None)
+
+    def front(self) -> Scenario:
+        """Of a slab the vertices on one side, with twice their weights; any other design as it is.
+
+        Both sides have the same distances to every center in the mid-plane and the same g, so that R and P are those of
+        the whole slab. It has no faces.
+        """
+        if self.planar is None or self.planar.depth == 0.0:
+            return self
+        kept = self.vertices[:, self.planar.axis] > self.planar.at
+        parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in ("vertices", "gradient", "weights")}
+        parts["weights"] = 2.0 * parts["weights"]
         return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None)
 
     def to(self, device: torch.device) -> Scenario:
