@@ -16,7 +16,7 @@ import trimesh
 from rbfevo.errors import UserError
 from rbfevo.methods.lloyd import lloyd
 from rbfevo.scenarios import mesh
-from rbfevo.scenarios.mesh import _sampler
+from rbfevo.scenarios.sampling import surface_sampler
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scenarios.templates import read_template
 
@@ -292,7 +292,9 @@ def test_no_template() -> None:
 
 def test_centers_on_one_triangle_are_uniform_in_it() -> None:
     corners = torch.tensor([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 3.0, 1.0]], dtype=torch.float64)
-    drawn = _sampler(corners, torch.tensor([[0, 1, 2]]))(40, 500, torch.Generator().manual_seed(0)).reshape(-1, 3)
+    drawn = surface_sampler(corners, torch.tensor([[0, 1, 2]]))(40, 500, torch.Generator().manual_seed(0)).reshape(
+        -1, 3
+    )
     # Shares of the corners: each is 1/3 in the mean, with mean square 1/6, and mean product 1/12.
     shares = torch.linalg.lstsq(torch.cat((corners[1:] - corners[0],)).T, (drawn - corners[0]).T).solution.T
     shares = torch.cat((1.0 - shares.sum(1, keepdim=True), shares), dim=1)
@@ -305,7 +307,7 @@ def test_centers_on_one_triangle_are_uniform_in_it() -> None:
 
 def test_triangles_are_drawn_by_their_area() -> None:
     corners = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [8, 0, 0], [5, 1, 0]], dtype=torch.float64)
-    drawn = _sampler(corners, torch.tensor([[0, 1, 2], [3, 4, 5]]))(1, 20_000, torch.Generator().manual_seed(0))
+    drawn = surface_sampler(corners, torch.tensor([[0, 1, 2], [3, 4, 5]]))(1, 20_000, torch.Generator().manual_seed(0))
     assert float((drawn[0, :, 0] > 3).double().mean()) == pytest.approx(0.75, abs=0.01)
 
 

@@ -44,8 +44,7 @@ def surface_of(mesh: Mesh, patches: Sequence[str] | None = None) -> Surface:
     if curved:
         notes["second-order cells"] = f"{curved} curved cells are taken by their corners, as flat ones"
     if patches:
-        chosen = np.unique(np.concatenate([_patch(mesh, name) for name in patches]))
-        found = cells.surface(mesh.points, mesh.cells, chosen)
+        found = cells.surface(mesh.points, mesh.cells, patch_cells(mesh, patches))
         if not len(found.triangles):
             raise UserError(f"scenario.patches={','.join(patches)}: there are no faces in it")
         notes["patches"] = f"{', '.join(patches)}: {len(np.unique(found.cell))} faces of {len(mesh.patches)} patches"
@@ -58,6 +57,15 @@ def surface_of(mesh: Mesh, patches: Sequence[str] | None = None) -> Surface:
     names = f"; choose of it by scenario.patches, there are {shown(mesh.patches)}" if mesh.patches else ""
     notes["volume mesh"] = f"the boundary of {listed} is taken, {len(outer)} faces{names}"
     return Surface(cells.surface(mesh.points, outer).triangles, None, notes)
+
+
+def patch_cells(mesh: Mesh, patches: Sequence[str]) -> Ints:
+    """The cells of some of the patches of a mesh, ascending.
+
+    Raises:
+        UserError: if there is no such patch, with the names that there are.
+    """
+    return np.unique(np.concatenate([_patch(mesh, name) for name in patches]))
 
 
 def _patch(mesh: Mesh, name: str) -> Ints:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import Any
 
 import numpy as np
@@ -11,24 +10,25 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from rbfevo.arrays import Ints
 from rbfevo.errors import UserError
-from rbfevo.geometry import placement, topology
+from rbfevo.geometry import topology
 from rbfevo.geometry.correspondence import Points, Triangles
 from rbfevo.geometry.lengths import length
-from rbfevo.geometry.pairing import REJECTIONS, Pairing, pair
+from rbfevo.geometry.pairing import REJECTIONS
 from rbfevo.geometry.parameterization import Region
 from rbfevo.scenarios import fixing, sensitivities
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.matching import MATCHES
+from rbfevo.scenarios.outline import outline
 from rbfevo.scenarios.planar import Planar
-from rbfevo.scenarios.reading import checked_extent, read_surface
+from rbfevo.scenarios.sampling import curve_sampler, open_parts, surface_sampler
 from rbfevo.scenarios.scenario import Sampler, Scenario, near_one, times_power_of_two, unit_gradient
+from rbfevo.scenarios.targets import paired
 from rbfevo.scenarios.templates import Template, read_template
-from rbfevo.scenarios.units import nearest_unit
 from rbfevo.scenarios.vertex_arrays import vertex_array
 
 WEIGHTS = ("uniform", "area")
-MIXED_UNITS = 20.0  # ratio of sizes: metres and millimetres, or inches and millimetres
 
 
 def mesh(
@@ -85,15 +85,16 @@ def mesh(
     sensitivities.check(sensitivity_kind, objective)
     if sensitivity_match not in MATCHES:
         raise UserError(f"scenario.sensitivity_match={sensitivity_match}: choose one of {', '.join(MATCHES)}")
-    read = read_template(str(template), _names(patches))
-    notes = {"template": f"{template}: {len(read.vertices)} vertices, {len(read.triangles)} triangles"} | read.notes
+    read = read_template(str(template), _names(patches), planar is not None)
+    parts = f"{len(read.segments)} segments" if read.curve else f"{len(read.triangles)} triangles"
+    notes = {"template": f"{template}: {len(read.vertices)} vertices, {parts}"} | read.notes
     if (target is None) == (sensitivity is None):
         raise UserError(_which(read, target is not None))
-    design, oddities = _Design.of(read, weights)
+    flat = Planar.of(planar, read.vertices, read.curve)
+    design, oddities = _Design.of(read, weights, flat)
     notes |= oddities
-    flat = Planar.of(planar, read.vertices)
     if flat is not None:
-        design, notes["planar"] = design.planar(flat), flat.note
+        notes["planar"] = flat.note
     elif topology.flat(read.vertices):
         notes["flat"] = (
             "all vertices lie in one plane: sensitivities along the normal and targets outside the plane move them out "
@@ -106,7 +107,7 @@ def mesh(
     if target is not None:
         if objective != "minimize" or sensitivity_kind != "nodal":
             raise UserError("scenario.objective and scenario.sensitivity_kind belong to a sensitivity, not to a target")
-        pairing, more, warnings = _paired(design, target, target_scale, reject, flat)
+        pairing, more, warnings = paired(read.vertices, design.normals, target, target_scale, reject, flat)
         exponent = 0
         wanted, stays = pairing.displacement, pairing.rejected
     else:
@@ -148,7 +149,7 @@ def mesh(
     gradient, norm = unit_gradient(torch.from_numpy(wanted), mass)
     norm = times_power_of_two(norm, exponent)
     if mirror is not None:
-        of_symmetry = mirror, read.vertices, design.triangles, gradient.numpy(), design.mass
+        of_symmetry = mirror, read.vertices, design.surface, gradient.numpy(), design.mass
         more, doubts = symmetry_plane.notes_and_warnings(*of_symmetry)
         notes, warnings = notes | more, warnings + doubts
     return Scenario(
@@ -160,7 +161,7 @@ def mesh(
         lower=lower,
         upper=upper,
         support=_support(support, lower, upper, flat),
-        sample=_sampler(vertices, _open_faces(vertices, faces, region)),
+        sample=design.sampler(region),
         gradient_norm=norm,
         notes=notes,
         warnings=warnings,
@@ -178,31 +179,43 @@ def mesh(
 
 @dataclasses.dataclass(frozen=True)
 class _Design:
-    """A template's consistently wound triangles, and the normals [n, 3], areas and mass [n] of its vertices."""
+    """A template's consistently wound triangles or segments; normals [n, 3], areas and mass [n] of its vertices.
+
+    Of a curve areas are lengths. `surface` is what the closest points lie on: of a curve the strip that it sweeps.
+    """
 
     vertices: Points
     triangles: Triangles
+    segments: Ints
     normals: Points
     areas: NDArray[np.float64]
     mass: NDArray[np.float64]
+    surface: tuple[Points, Triangles]
 
     @staticmethod
-    def of(template: Template, weights: str) -> tuple[_Design, dict[str, str]]:
-        """The design of a template, and notes on the oddities of its surface."""
-        vertices, edges = template.vertices, topology.edges_of(len(template.vertices), template.triangles)
-        notes = topology.oddities(vertices, template.triangles, edges)
-        triangles, turned = topology.oriented(vertices, template.triangles, edges)
+    def of(template: Template, weights: str, flat: Planar | None = None) -> tuple[_Design, dict[str, str]]:
+        """The design of a template, and notes on the oddities of its surface or curve."""
+        vertices, triangles, segments = template.vertices, template.triangles, template.segments
+        if template.curve and flat is not None:
+            segments, turned, normals, areas, surface, notes = outline(vertices, segments, flat.plane)
+        else:
+            edges = topology.edges_of(len(vertices), triangles)
+            notes = topology.oddities(vertices, triangles, edges)
+            triangles, turned = topology.oriented(vertices, triangles, edges)
+            surface, areas = (vertices, triangles), topology.vertex_areas(vertices, triangles)
+            areas = areas if flat is None else flat.averaged(areas)
+            normals = (topology.vertex_normals if flat is None else flat.normals)(vertices, triangles)
         if turned:
-            notes["winding"] = f"{turned} triangles were turned, so that all normals point to the same side"
-        areas = topology.vertex_areas(vertices, triangles)
+            parts = "segments" if template.curve else "triangles"
+            notes["winding"] = f"{turned} {parts} were turned, so that all normals point to the same side"
         mass = areas / areas.mean() if weights == "area" else np.ones(len(areas))
-        return _Design(vertices, triangles, topology.vertex_normals(vertices, triangles), areas, mass), notes
+        return _Design(vertices, triangles, segments, normals, areas, mass, surface), notes
 
-    def planar(self, flat: Planar) -> _Design:
-        """The same as a planar design: normals in the plane, and areas and mass alike for front and back."""
-        normals = flat.normals(self.vertices, self.triangles)
-        areas, mass = flat.averaged(self.areas), flat.averaged(self.mass)
-        return dataclasses.replace(self, normals=normals, areas=areas, mass=mass)
+    def sampler(self, region: Region | None) -> Sampler:
+        """Centers uniform on the surface or the curve, outside a region."""
+        vertices, curve = torch.from_numpy(self.vertices), len(self.segments) > 0
+        parts = open_parts(vertices, torch.from_numpy(self.segments if curve else self.triangles), region)
+        return (curve_sampler if curve else surface_sampler)(vertices, parts)
 
 
 def _names(patches: Any) -> tuple[str, ...] | None:
@@ -255,52 +268,6 @@ def _support(value: Any, lower: Tensor, upper: Tensor, flat: Planar | None) -> f
     return flat.support(value, float((upper - lower)[flat.plane.others].norm()))
 
 
-def _paired(
-    design: _Design, target: str, scale: float | None, reject: str, flat: Planar | None = None
-) -> tuple[Pairing, dict[str, str], list[str]]:
-    """Pairs of the design's vertices with the target, after a check of its unit; notes and warnings."""
-    points, triangles = read_surface(target)
-    if scale is not None and not (math.isfinite(scale) and scale > 0):
-        raise UserError(f"scenario.target_scale={scale}: give a positive number")
-    if scale is not None:
-        with np.errstate(over="ignore"):
-            points = points * scale
-        checked_extent(f"{target} times scenario.target_scale={scale:g}", points)
-    mine, its = (float(np.linalg.norm(np.ptp(part, axis=0))) for part in (design.vertices, points))
-    if scale is None and not 1.0 / MIXED_UNITS < its / mine < MIXED_UNITS:
-        raise UserError(
-            f"{target}: the target's diagonal is {its:.4g}, the template's {mine:.4g}: are their units different? Set "
-            f"scenario.target_scale={nearest_unit(mine / its):g} to scale the target, or 1 to keep its size"
-        )
-    apart = np.maximum(
-        points.min(axis=0) - design.vertices.max(axis=0), design.vertices.min(axis=0) - points.max(axis=0)
-    )
-    vertices = design.vertices
-    if flat is not None:
-        points, triangles = flat.target(target, points, triangles)
-        vertices, apart = flat.plane.pinned(vertices), apart[flat.plane.others]
-        reject = "none" if triangles is None else reject
-    points, triangles = placement.merge_coincident(points, triangles)
-    if triangles is not None and len(triangles) == 0:
-        raise UserError(f"{target}: merging coincident vertices leaves no triangle; check the file")
-    found = pair(vertices, design.normals, points, triangles, reject)
-    if flat is not None:
-        found = flat.kept_in_plane(found)
-    kind = "a cloud" if triangles is None else f"{len(triangles)} triangles"
-    notes = {"target": f"{target}: {len(points)} distinct vertices, {kind}"} | found.notes
-    if found.rejected.all():
-        raise UserError(
-            f"{target}: all pairs of template and target are rejected; check that both are in the same place, or set "
-            "scenario.reject=none"
-        )
-    warnings = []
-    if apart.max() > mine:
-        warnings.append(
-            f"the target lies {apart.max():.3g} away from the template: do both have the same coordinate system?"
-        )
-    return found, notes, warnings
-
-
 def _sensitivity_warnings(
     design: _Design, template: str, source: str, read: Template, values: NDArray[np.float64]
 ) -> list[str]:
@@ -323,32 +290,3 @@ def _convention(source: str, values: NDArray[np.float64], kind: str, objective: 
     form = "one value per vertex, along its normal" if values.ndim == 1 else "three components per vertex"
     way = "against" if objective == "minimize" else "along"
     return f"{source}: {form}, {kind}; to {objective} the objective, the design should move {way} it"
-
-
-def _open_faces(vertices: Tensor, faces: Tensor, region: Region | None) -> Tensor:
-    """The triangles on which centers are drawn: all, or those with no corner in the region where none may sit."""
-    if region is None:
-        return faces
-    kept = faces[~region.contains(vertices)[faces].any(dim=1)]
-    if not len(kept):
-        raise UserError(
-            "scenario.keep_out=true leaves no triangle for centers; fix fewer vertices, or set keep_out=false"
-        )
-    return kept
-
-
-def _sampler(vertices: Tensor, faces: Tensor) -> Sampler:
-    """Centers uniform on the surface."""
-    corners = vertices[faces]
-    area = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).norm(dim=1)
-    cumulative = area.cumsum(0)
-
-    def sample(count: int, m: int, generator: torch.Generator) -> Tensor:
-        """Draw [count, m, 3] centers uniformly on the surface."""
-        draws = torch.rand(3, count, m, generator=generator, dtype=torch.float64)
-        face = torch.searchsorted(cumulative, draws[0] * cumulative[-1]).clamp(max=len(faces) - 1)
-        root = draws[1].sqrt()
-        shares = torch.stack((1.0 - root, root * (1.0 - draws[2]), root * draws[2]), dim=-1)
-        return (shares[..., None] * corners[face]).sum(-2)
-
-    return sample

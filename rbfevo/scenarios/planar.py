@@ -34,8 +34,8 @@ class Planar:
     partner: Ints
 
     @staticmethod
-    def of(axis: Any, vertices: Points) -> Planar | None:
-        """What `scenario.planar` asks for vertices [n, 3]; None where it is null.
+    def of(axis: Any, vertices: Points, curve: bool = False) -> Planar | None:
+        """What `scenario.planar` asks for vertices [n, 3] of a surface or a curve; None where it is null.
 
         Vertices within 1e-6 of the diagonal of each other along the axis are in one layer; front and back match within
         the same distance.
@@ -52,6 +52,11 @@ class Planar:
         tolerance = LAYER * diagonal
         heights = vertices[:, number]
         found = layers(heights, tolerance)
+        if curve and len(found) > 1:
+            raise UserError(
+                f"scenario.planar={axis}: the vertices of the curve lie in {len(found)} layers across {axis}, but a "
+                "planar curve lies in one plane; choose another axis, or a mesh with faces"
+            )
         if len(found) > 2:
             raise UserError(
                 f"scenario.planar={axis}: the vertices lie in {len(found)} layers across {axis}; a planar design has "

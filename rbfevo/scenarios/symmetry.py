@@ -54,7 +54,11 @@ def mirror_of(
 
 
 def notes_and_warnings(
-    mirror: Mirror, vertices: Points, triangles: Triangles, gradient: NDArray[np.float64], weights: NDArray[np.float64]
+    mirror: Mirror,
+    vertices: Points,
+    surface: tuple[Points, Triangles],
+    gradient: NDArray[np.float64],
+    weights: NDArray[np.float64],
 ) -> tuple[dict[str, str], list[str]]:
     """Notes and warnings: how far mirror images lie from the surface, and how much of g [n, 3] is not symmetric.
 
@@ -68,7 +72,7 @@ def notes_and_warnings(
         return {"symmetry": f"about {name}; the template is one half, and the other half is not scored"}, []
     some = np.linspace(0, len(vertices) - 1, min(len(vertices), LOOKED_AT)).astype(np.int64)
     images = mirror.image(torch.from_numpy(vertices[some])).numpy()
-    closest, _ = closest_on_surface(images, vertices, triangles)
+    closest, _ = closest_on_surface(images, *surface)
     distance = float(np.linalg.norm(closest - images, axis=1).max())
     diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
 
