@@ -17,6 +17,7 @@ from rbfevo.geometry.correspondence import Points, Triangles
 from rbfevo.geometry.lengths import length
 from rbfevo.geometry.pairing import REJECTIONS
 from rbfevo.geometry.parameterization import Region
+from rbfevo.geometry.rims import Rim, rim_of, rim_of_curve
 from rbfevo.scenarios import fixing, sensitivities
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.matching import MATCHES
@@ -103,7 +104,11 @@ def mesh(
     lower, upper = _box(read.vertices, margin)
     if flat is not None and symmetry == planar:
         raise UserError(f"scenario.symmetry={symmetry} and scenario.planar={planar}: choose two different axes")
-    mirror = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, design.triangles, lower, upper)
+    rim = design.rim(flat)
+    mirror, more = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, design.surface, rim, lower, upper)
+    if mirror is None:
+        more = symmetry_plane.proposal(read.vertices, rim, None if flat is None else flat.plane.axis)
+    notes |= more
     if target is not None:
         if objective != "minimize" or sensitivity_kind != "nodal":
             raise UserError("scenario.objective and scenario.sensitivity_kind belong to a sensitivity, not to a target")
@@ -210,6 +215,12 @@ class _Design:
             notes["winding"] = f"{turned} {parts} were turned, so that all normals point to the same side"
         mass = areas / areas.mean() if weights == "area" else np.ones(len(areas))
         return _Design(vertices, triangles, segments, normals, areas, mass, surface), notes
+
+    def rim(self, flat: Planar | None) -> Rim:
+        """Its open boundary: of a slab without front and back, of a curve its ends."""
+        if len(self.segments):
+            return rim_of_curve(self.vertices, self.segments)
+        return rim_of(self.vertices, self.triangles, None if flat is None else flat.plane.axis)
 
     def sampler(self, region: Region | None) -> Sampler:
         """Centers uniform on the surface or the curve, outside a region."""
