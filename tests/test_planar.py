@@ -14,6 +14,7 @@ from scipy.spatial.distance import cdist
 from slabs import HALVES, THICK, lifted, ring, saved, strip
 
 from rbfevo.errors import UserError
+from rbfevo.fit.manipulations import deformation
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.parameterization import BoxRegion, Parameterization, VertexRegion
 from rbfevo.geometry.planar import Plane, layers
@@ -363,3 +364,10 @@ def test_only_representations_of_centers_are_planar(folder: Path) -> None:
     foreign: Any = dataclasses.make_dataclass("Foreign", [("name", str)])("foreign")
     with pytest.raises(UserError, match=r"scenario\.planar=z: representation=foreign has no planar setups"):
         evaluator_of(scenario, foreign, "indirect", "eager")
+
+
+def test_a_fit_of_a_planar_design_is_refused(folder: Path) -> None:
+    scenario = build(folder)
+    centers = scenario.parameterization(scenario.sample(1, 5, torch.Generator().manual_seed(0)))[0]
+    with pytest.raises(UserError, match="setups of a planar design cannot be fitted"):
+        deformation(scenario, Wendland(1.0), centers, "direct")

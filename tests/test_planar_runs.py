@@ -14,6 +14,8 @@ from slabs import THICK, lifted, ring, saved, strip, volume
 
 from rbfevo import apply, export
 from rbfevo.__main__ import main
+from rbfevo.recorded.record import read
+from rbfevo.recorded.setup import setup
 
 COUNT = 64
 METHODS = {
@@ -107,6 +109,24 @@ def test_lloyd_of_a_thick_slab_does_not_split_front_and_back(tmp_path: Path) -> 
     assert apart.min() > 0.5
 
 
+def test_the_first_pick_of_ols_is_the_best_column_of_the_mid_plane(tmp_path: Path) -> None:
+    """Candidates on one side of a thick slab would see that side alone, and choose another."""
+    heights = (0.0, 4.0)
+    x, y = np.tile(ring(COUNT), (2, 1)).T
+    lobes = np.exp(-2.0 * ((x - 2.0) ** 2 + y**2)) + 0.7 * np.exp(-0.3 * ((x + 2.0) ** 2 + y**2))
+    s = np.stack([lobes, 0 * y, 0 * x], axis=1)
+    path = saved(strip(COUNT, heights=heights), tmp_path / "thick.vtp", s=s)
+    setups, _ = run(tmp_path / "run", path, "method=ols", "method.per_axis=9", "centers=3", "kernel.support=2.5")
+    with np.load(tmp_path / "run" / "scenario.npz") as files:
+        X, g, lower, upper = (files[name] for name in ("vertices", "gradient", "lower", "upper"))
+    sides = [np.linspace(low, high, 9) for low, high in zip(lower[:2], upper[:2], strict=True)]
+    grid = np.array([(a, b, 2.0) for a in sides[0] for b in sides[1]])
+    r = cdist(X, grid)
+    phi = np.where(r < 2.5, (1 - r / 2.5) ** 4 * (4 * r / 2.5 + 1), 0)
+    gain = ((phi.T @ g) ** 2).sum(axis=1) / np.maximum((phi**2).sum(axis=0), 1e-300)
+    np.testing.assert_allclose(setups["centers"][0, 0], grid[gain.argmax()])
+
+
 @pytest.fixture(scope="module")
 def exported(template: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("runs") / "run"
@@ -126,6 +146,10 @@ def test_the_exported_move_has_no_component_along_the_axis(exported: Path) -> No
     moved = np.asarray(pv.read(exported / "export-index-0" / "template.vtp").point_data["reached"])
     assert (moved[:, 2] == 0.0).all()
     np.testing.assert_array_equal(moved[:COUNT], moved[COUNT:])
+    record = read(exported)
+    found = setup(record, 0).displacement(record.vertices, np.ones((7, 3)))
+    assert (found[:, 2] == 0.0).all()
+    assert found[:, :2].max() > 0.0
     with np.load(exported / "export-index-0" / "setup.npz") as arrays:
         assert str(arrays["planar_axis"]) == "z"
         assert float(arrays["planar_at"]) == 0.05
