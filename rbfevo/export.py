@@ -168,6 +168,8 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
         "manipulation": np.array(chosen.manipulation),
         "symmetry_axis": np.array("" if mirror is None else "xyz"[mirror.axis]),
         "symmetry_at": np.array(np.nan if mirror is None else mirror.at),
+        "planar_axis": np.array("" if chosen.planar is None else chosen.planar.name),
+        "planar_at": np.array(np.nan if chosen.planar is None else chosen.planar.at),
         "regularity": np.array(chosen.regularity),
         "improvement_potential": np.array(chosen.improvement_potential),
         "row": np.array(chosen.row),

@@ -215,7 +215,7 @@ def test_patches_are_held_whether_they_belong_to_the_template_or_not(tmp_path: P
         text += f"MARKER_TAG= {name}\nMARKER_ELEMS= 1\n9 {' '.join(map(str, corners))}\n"
     (tmp_path / "duct.su2").write_text(text)
     np.save(tmp_path / "s.npy", np.arange(24.0).reshape(8, 3))
-    common = {"template": str(tmp_path / "duct.su2"), "sensitivity": str(tmp_path / "s.npy")}
+    common: dict[str, Any] = {"template": str(tmp_path / "duct.su2"), "sensitivity": str(tmp_path / "s.npy")}
     scenario = mesh(**common, patches=["bend", "outlet"], hold=["inlet"], hold_width=1.5)
     assert scenario.hold is not None
     assert scenario.hold.points.tolist() == [[0, 0, 0], [0, 1, 0], [1, 0, 0], [1, 1, 0]]

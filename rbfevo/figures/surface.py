@@ -15,6 +15,7 @@ from rbfevo.figures.view import View, hidden
 
 PIXELS = 540  # as many as the panel has on paper
 GHOST = 0.4  # opacity of centers behind the surface
+FEW = 2000  # vertices of a cloud or curve, up to which they are drawn as larger points
 AMBIENT, DIFFUSE = 0.45, 0.62  # shares of the light: what shades nothing, and what shades the surface
 
 
@@ -59,7 +60,7 @@ def render(
         ambient=ambient,
         diffuse=AMBIENT + DIFFUSE - ambient,
         specular=0.05,
-        point_size=4,
+        point_size=4 if len(vertices) > FEW else 9,
         show_scalar_bar=False,
     )
     plotter.enable_anti_aliasing("ssaa")
@@ -113,7 +114,7 @@ def project(
         behind = hidden(centers, vertices, faces, view)
     else:
         order = np.argsort(near, kind="stable")
-        axes.scatter(*flat[order].T, c=colors[order], s=2, linewidths=0)
+        axes.scatter(*flat[order].T, c=colors[order], s=2 if len(vertices) > FEW else 8, linewidths=0)
         behind = np.zeros(len(centers), dtype=bool)
     points_per_unit = axes.bbox.width * 72 / axes.figure.dpi / (2 * view.half)
     places = view.project(centers)[0]

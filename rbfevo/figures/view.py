@@ -54,10 +54,15 @@ def view_of(points: Array, margin: float, front: Array = FRONT, upward: Array = 
 def standpoint(record: Record) -> tuple[Array, Array]:
     """Where the camera stands, and what is up [3]: before a face, or where most of the wanted displacement shows.
 
-    The run of a mesh names the axis that is up. The camera stands a little above one of its four corners.
+    The run of a mesh names the axis that is up. The camera stands a little above one of its four corners, and straight
+    before the plane of a curve.
     """
     if record.summary.get("scenario") != "mesh":
         return FRONT, UP
+    plane = record.summary.get("planar")
+    if plane is not None and not len(record.faces):
+        across = "xyz".index(plane["axis"])
+        return np.eye(3)[across], np.eye(3)[(across + 2) % 3]
     axis = "xyz".find(str(record.summary.get("up", "z"))[:1])
     upward = np.eye(3)[axis]
     flat = [other for other in range(3) if other != axis]

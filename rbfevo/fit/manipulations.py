@@ -53,6 +53,8 @@ def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulatio
     refuse_others("manipulation", manipulation, MANIPULATIONS)
     if scenario.mirror is not None:
         raise UserError("setups with a symmetry plane cannot be fitted: a fit moves their centers one by one")
+    if scenario.planar is not None:
+        raise UserError("setups of a planar design cannot be fitted: a fit moves their centers in all three directions")
     n, d = scenario.vertices.shape
     if centers.ndim != 2 or centers.shape[1] != d or not 1 <= len(centers) <= n:
         raise UserError(f"the centers of a setup must have shape [m, {d}], 1 <= m <= {n}, not {list(centers.shape)}")

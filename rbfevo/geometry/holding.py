@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 
 from rbfevo.arrays import Array
 from rbfevo.geometry.mirror import Mirror
+from rbfevo.geometry.planar import Plane
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,20 +24,23 @@ class Hold:
     Attributes:
         points: [h, d] held points, model units; width: in model units, positive.
         mirror: a plane of symmetry, or None: the images of held points are held too.
+        plane: the mid-plane of a planar design, or None: distances are then those within the plane.
     """
 
     points: Array
     width: float
     mirror: Mirror | None = None
+    plane: Plane | None = None
 
     @functools.cached_property
     def _tree(self) -> KDTree:
-        points = self.points
+        points = self.points if self.plane is None else self.plane.pinned(self.points)
         if self.mirror is not None:
             points = np.concatenate([points, self.mirror.image(points)])
         return KDTree(points)
 
     def __call__(self, points: Array) -> Array:
         """The blend [q] at points [q, d], from 0 to 1, float64."""
+        points = points if self.plane is None else self.plane.pinned(points)
         t = np.minimum(self._tree.query(points)[0] / self.width, 1.0)
         return t**3 * (10.0 + t * (6.0 * t - 15.0))

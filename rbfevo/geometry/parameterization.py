@@ -1,4 +1,4 @@
-"""From points in the box to centers: setups stay symmetric and out of the region where no center may sit."""
+"""From points in the box to centers: setups stay symmetric, planar, and out of the region where no center may sit."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from rbfevo.geometry.mirror import Mirror
+from rbfevo.geometry.planar import Plane
 
 
 class Region(Protocol):
@@ -133,16 +134,27 @@ class VertexRegion:
 
 
 class Parameterization:
-    """Centers [*pop, m, d] from points [*pop, m, d] anywhere in the box; without mirror and region the identity.
+    """Centers [*pop, m, d] from points [*pop, m, d] anywhere in the box; the identity if nothing restricts them.
 
     With a mirror, points on the other side are mirrored, and if m is odd the last one is put on the plane. Points
-    leave the region, the one on the plane along it.
+    leave the region, the one on the plane along it. In a planar design all are put on its mid-plane, which is not the
+    mirror's, and stay there: its region must reach through it, as `scenarios.fixing` makes it.
     """
 
-    def __init__(self, mirror: Mirror | None = None, side: float = 1.0, region: Region | None = None) -> None:
+    def __init__(
+        self,
+        mirror: Mirror | None = None,
+        side: float = 1.0,
+        region: Region | None = None,
+        planar: Plane | None = None,
+    ) -> None:
         """`side` is +1 or -1: on which side of the mirror the centers sit; their images sit on the other."""
-        self.mirror, self.side, self.region = mirror, side, region
+        self.mirror, self.side, self.region, self.planar = mirror, side, region, planar
         self._last: tuple[Tensor, Tensor, Tensor] | None = None
+
+    @property
+    def _free(self) -> bool:
+        return self.mirror is None and self.region is None and self.planar is None
 
     def __call__(self, points: Tensor) -> Tensor:
         """Centers from points."""
@@ -153,7 +165,7 @@ class Parameterization:
 
         A coordinate that was changed to leave the region counts as constant.
         """
-        if self.mirror is None and self.region is None:
+        if self._free:
             return gradient
         return gradient * self._place(points)[1]
 
@@ -167,7 +179,7 @@ class Parameterization:
 
     def _place(self, points: Tensor) -> tuple[Tensor, Tensor]:
         """Centers, and the derivative of each coordinate by the point's: 1, -1 or 0."""
-        if self.mirror is None and self.region is None:
+        if self._free:
             return points, torch.ones_like(points)
         if (
             self._last is not None and self._last[0] is points
@@ -186,7 +198,10 @@ class Parameterization:
         return centers, factor
 
     def _folded(self, points: Tensor, factor: Tensor) -> tuple[Tensor, Tensor]:
-        """Points on one side of the mirror, the last of an odd number of them on the plane."""
+        """Points in the mid-plane and on one side of the mirror, the last of an odd number of them on its plane."""
+        if self.planar is not None:
+            points, factor = self.planar.pinned(points), factor.clone()
+            factor[..., self.planar.axis] = 0.0
         if self.mirror is None:
             return points, factor
         axis, at = self.mirror.axis, self.mirror.at

@@ -18,6 +18,7 @@ from scipy.sparse import coo_array, csc_array, csr_array, diags_array
 from scipy.sparse.linalg import splu
 
 from rbfevo.arrays import Points, Triangles
+from rbfevo.geometry.curves import segment_lengths, vertex_lengths
 from rbfevo.geometry.topology import vertex_areas
 
 Array = NDArray[np.float64]
@@ -29,9 +30,10 @@ def mass(vertices: Points, triangles: Triangles) -> Array:
     """The lumped mass matrix as its diagonal [n]: a third of the area of each vertex's triangles, squared units.
 
     Args:
-        vertices: [n, 3]; triangles: [f, 3].
+        vertices: [n, 3]; triangles: [f, 3], or of a curve segments [s, 2]: then half the length of each.
     """
-    return vertex_areas(vertices, triangles)
+    curve = triangles.shape[1] == 2
+    return vertex_lengths(vertices, triangles) if curve else vertex_areas(vertices, triangles)
 
 
 def stiffness(vertices: Points, triangles: Triangles) -> csr_array:
@@ -41,9 +43,15 @@ def stiffness(vertices: Points, triangles: Triangles) -> csr_array:
     edge are left out: they have no area to speak of, and their gradients are not finite.
 
     Args:
-        vertices: [n, 3]; triangles: [f, 3].
+        vertices: [n, 3]; triangles: [f, 3], or of a curve segments [s, 2], whose K has the unit 1 / length.
     """
     n = len(vertices)
+    if triangles.shape[1] == 2:
+        i, j = triangles.T
+        inverse = 1.0 / segment_lengths(vertices, triangles)
+        entries = np.concatenate([inverse, inverse, -inverse, -inverse])
+        places = np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i])
+        return csr_array(coo_array((entries, places), shape=(n, n)))
     corners = vertices[triangles]
     edges = np.roll(corners, -2, axis=1) - np.roll(corners, -1, axis=1)  # edge i is opposite to corner i
     longest = np.sqrt((edges**2).sum(axis=2).max(axis=1, initial=0.0))

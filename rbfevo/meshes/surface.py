@@ -44,8 +44,7 @@ def surface_of(mesh: Mesh, patches: Sequence[str] | None = None) -> Surface:
     if curved:
         notes["second-order cells"] = f"{curved} curved cells are taken by their corners, as flat ones"
     if patches:
-        chosen = np.unique(np.concatenate([_patch(mesh, name) for name in patches]))
-        found = cells.surface(mesh.points, mesh.cells, chosen)
+        found = cells.surface(mesh.points, mesh.cells, patch_cells(mesh, patches))
         if not len(found.triangles):
             raise UserError(f"scenario.patches={','.join(patches)}: there are no faces in it")
         notes["patches"] = f"{', '.join(patches)}: {len(np.unique(found.cell))} faces of {len(mesh.patches)} patches"
@@ -69,14 +68,23 @@ def patch_points(mesh: Mesh, patches: Sequence[str], setting: str) -> Ints:
     Raises:
         UserError: if there is no such patch.
     """
-    chosen = np.unique(np.concatenate([_patch(mesh, name, setting) for name in patches]))
+    chosen = patch_cells(mesh, patches, setting)
     starts = np.cumsum(mesh.cells.sizes) - mesh.cells.sizes
     each = mesh.cells.sizes[chosen]
     place = np.repeat(starts[chosen] - (np.cumsum(each) - each), each) + np.arange(int(each.sum()))
     return np.unique(mesh.cells.corners[place])
 
 
-def _patch(mesh: Mesh, name: str, setting: str = "scenario.patches") -> Ints:
+def patch_cells(mesh: Mesh, patches: Sequence[str], setting: str = "scenario.patches") -> Ints:
+    """The cells of some of the patches of a mesh, ascending.
+
+    Raises:
+        UserError: if there is no such patch, with the names that there are.
+    """
+    return np.unique(np.concatenate([_patch(mesh, name, setting) for name in patches]))
+
+
+def _patch(mesh: Mesh, name: str, setting: str) -> Ints:
     if name in mesh.patches:
         return mesh.patches[name]
     if not mesh.patches:

@@ -164,7 +164,8 @@ def _reseed(X: Tensor, centers: Tensor, empty: Tensor) -> Tensor:
 class LloydHeuristic(Heuristic):
     """Uniform centers by Lloyd sampling, for high regularity: the best of `starts` runs of k-means on the vertices.
 
-    Of a symmetric design it sees one half, and no vertices where no center may sit.
+    Of a symmetric design it sees one half, of a planar one the vertices moved into the plane, and no vertices where no
+    center may sit.
     """
 
     name = "lloyd"
@@ -177,8 +178,9 @@ class LloydHeuristic(Heuristic):
     def place(self, problem: Problem) -> Tensor:
         """[1, m, d]."""
         design = problem.scenario.half(open_only=True)
+        vertices = design.vertices if design.planar is None else design.planar.pinned(design.vertices)
         centers = lloyd(
-            design.vertices,
+            vertices,
             problem.centers,
             generator=problem.stream("lloyd"),
             weights=design.weights,

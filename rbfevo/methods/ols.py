@@ -281,7 +281,7 @@ class OlsHeuristic(Heuristic):
     """Greedy centers by orthogonal least squares on a grid of candidates, for high improvement potential.
 
     They are chosen for indirect manipulation and used for both, since P is the same for both. Of a symmetric design it
-    sees one half, without the images of the centers.
+    sees one half, without the images of the centers; of a planar one candidates lie in the plane alone.
     """
 
     name = "ols"
@@ -291,8 +291,15 @@ class OlsHeuristic(Heuristic):
         self.per_axis = at_least_one(f"{self.name}: per_axis", per_axis)
 
     def _candidates(self, problem: Problem) -> Tensor:
-        """The grid [c, d] over the box, without the region where no center may sit."""
-        grid = grid_candidates(*problem.scenario.search_box, self.per_axis)
+        """The grid [c, d] over the box or, of a planar design, over its mid-plane, without the region kept free."""
+        (lower, upper), planar = problem.scenario.search_box, problem.scenario.planar
+        if planar is None:
+            grid = grid_candidates(lower, upper, self.per_axis)
+        else:
+            axes = sorted(planar.others)
+            flat = grid_candidates(lower[axes], upper[axes], self.per_axis)
+            grid = flat.new_full((len(flat), 3), planar.at)
+            grid[:, axes] = flat
         region = problem.scenario.keep_out
         return grid if region is None else grid[~region.contains(grid)]
 

@@ -3,6 +3,8 @@
 In a run with a symmetry plane every center c has a mirror image c', and the displacement of c' is the mirror image of
 that of c: a column is phi(|c - x|) + phi(|c' - x|) for the components of a displacement along the plane and
 phi(|c - x|) - phi(|c' - x|) for the component across it. A center on the plane is its own image; it cannot leave it.
+
+In a planar run the centers lie in the mid-plane, and displacements have no component along its axis.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.geometry.holding import Hold
 from rbfevo.geometry.mirror import Mirror
+from rbfevo.geometry.planar import LAYER, Plane
 from rbfevo.recorded.record import Record
 from rbfevo.scoring.kernels import Kernel, Wendland, triharmonic
 from rbfevo.scoring.representations import RBF, Representation, representation_of
@@ -50,6 +53,7 @@ class Setup:
         on_plane: [m] True for a center on the symmetry plane; all False without one.
         hold: the blend that multiplies U, or None where nothing is held.
         row: the row of setups.npz; regularity, improvement_potential: its scores.
+        planar: the mid-plane of a planar run, or None; tolerance: within it of a side of the slab a point is on it.
     """
 
     centers: Array
@@ -62,6 +66,8 @@ class Setup:
     improvement_potential: float
     genotype: Array | None = None
     hold: Hold | None = None
+    planar: Plane | None = None
+    tolerance: float = 0.0
 
     @property
     def kernel(self) -> Kernel | None:
@@ -130,15 +136,25 @@ class Setup:
         return self.mirror is not None and k > 1
 
     def parities(self, k: int) -> Iterator[tuple[Array, bool, Array]]:
-        """Split k components of a displacement by their columns: components, across or not, indices of the columns."""
+        """Split k components of a displacement by their columns: components, across or not, indices of the columns.
+
+        That along the axis of a planar run is left out: it is 0.
+        """
         everything = np.arange(self.count)
         axis = self.mirror.axis if self.mirror is not None and k > 1 else -1
-        yield np.array([component for component in range(k) if component != axis], dtype=int), False, everything
+        apart = {axis, -1 if self.planar is None else self.planar.axis}
+        yield np.array([component for component in range(k) if component not in apart], dtype=int), False, everything
         if axis >= 0:
             yield np.array([axis]), True, self.off_plane
 
     def refuse_across(self, rows: Array, what: str) -> None:
-        """Raise UserError where rows [m, k] would move a center off the symmetry plane that it lies on."""
+        """Raise UserError where rows [m, k] would move a center out of a plane that it cannot leave."""
+        if self.planar is not None and rows[:, self.planar.axis].any():
+            wrong, axis = int(np.flatnonzero(rows[:, self.planar.axis])[0]), self.planar.name
+            raise UserError(
+                f"the run is planar (scenario.planar={axis}), and center {wrong} cannot leave the plane {axis} = "
+                f"{self.planar.at:g}: its {what} along {axis} must be 0, not {rows[wrong, self.planar.axis]:g}"
+            )
         if self.mirror is None or not self.crosses(rows.shape[1]):
             return
         wrong = np.flatnonzero(self.on_plane & (rows[:, self.mirror.axis] != 0))
@@ -175,7 +191,10 @@ class Setup:
         return np.ones((len(points), 1)) if self.hold is None else self.hold(points)[:, None]
 
     def displacement(self, points: Array, weights: Array, block: int = BLOCK) -> Array:
-        """Displacements [q, k] of points [q, d] under weights [m, k], a block of points at a time."""
+        """Displacements [q, k] of points [q, d] under weights [m, k], a block of points at a time.
+
+        In a planar run points that lie behind each other on the two sides of the slab move alike to the last bit.
+        """
         return self.blend(points) * self.free_displacement(points, weights, block)
 
     def free_displacement(self, points: Array, weights: Array, block: int = BLOCK) -> Array:
@@ -183,9 +202,23 @@ class Setup:
         moved, block = np.zeros((len(points), weights.shape[1])), self._rows(block)
         for start in range(0, len(points), block):
             rows = slice(start, start + block)
+            places = self._on_one_side(points[rows])
             for components, across, _ in self.parities(weights.shape[1]):
-                moved[rows, components] = self.columns(points[rows], across) @ weights[:, components]
+                phi, own = self.columns(places, across), weights[:, components]
+                if self.planar is None:
+                    moved[rows, components] = phi @ own
+                else:  # a product of matrices may add up in another order in each row
+                    moved[rows, components] = sum(phi[:, j, None] * own[j] for j in range(len(own)))
         return moved
+
+    def _on_one_side(self, points: Array) -> Array:
+        """Points [q, 3], those on either side of a slab with the same coordinate along its axis."""
+        if self.planar is None:
+            return points
+        axis, at, depth = self.planar.axis, self.planar.at, self.planar.depth
+        places, away = points.copy(), np.abs(points[:, self.planar.axis] - at)
+        places[:, axis] = at + np.where(np.abs(away - depth) <= self.tolerance, depth, away)
+        return places
 
     def fit(self, record: Record, block: int = BLOCK) -> Array:
         """Weights [m, k] of the least-squares best approximation of the run's gradient, as it is, of unit norm.
@@ -247,7 +280,7 @@ def setup(record: Record, row: int) -> Setup:
     """
     representation = _representation(record)
     mirror, centers = _mirror(record), np.array(record.centers[row], dtype=np.float64)
-    on_plane = np.zeros(len(centers), dtype=bool)
+    on_plane, planar = np.zeros(len(centers), dtype=bool), _planar(record)
     if mirror is not None:
         on_plane, centers = mirror.on_plane(centers), mirror.snapped(centers)
     return Setup(
@@ -259,8 +292,10 @@ def setup(record: Record, row: int) -> Setup:
         row=int(row),
         regularity=float(record.regularity[row]),
         improvement_potential=float(record.improvement_potential[row]),
-        hold=_hold(record, mirror),
+        hold=_hold(record, mirror, planar),
         genotype=None if record.genotype is None else np.array(record.genotype[row], dtype=np.float64),
+        planar=planar,
+        tolerance=LAYER * float(np.linalg.norm(np.ptp(record.vertices, axis=0))),
     )
 
 
@@ -276,23 +311,37 @@ def _representation(record: Record) -> Representation:
     raise UserError(f"summary.json: kernel={name} with support radius {support} is not known here")
 
 
-def _hold(record: Record, mirror: Mirror | None) -> Hold | None:
+def _hold(record: Record, mirror: Mirror | None, planar: Plane | None) -> Hold | None:
     if record.held is None:
         return None
     width = record.summary.get("hold_width")
     if not isinstance(width, int | float) or not 0 < width < float("inf"):
         raise UserError(f"summary.json: hold_width={width} is not a positive number, but scenario.npz has held points")
-    return Hold(record.held, float(width), mirror)
+    return Hold(record.held, float(width), mirror, planar)
 
 
 def _mirror(record: Record) -> Mirror | None:
-    plane = record.summary.get("symmetry")
+    found = _plane(record, "symmetry")
+    return None if found is None else Mirror.of_box(*found, record.lower, record.upper)
+
+
+def _planar(record: Record) -> Plane | None:
+    found = _plane(record, "planar")
+    if found is None:
+        return None
+    axis, at = found
+    return Plane(axis, at, float(np.abs(record.vertices[:, axis] - at).max()))
+
+
+def _plane(record: Record, key: str) -> tuple[int, float] | None:
+    """The axis and the coordinate of a plane in summary.json."""
+    plane = record.summary.get(key)
     if plane is None:
         return None
     axis, at = (plane.get("axis"), plane.get("at")) if isinstance(plane, dict) else (None, None)
     axes = ["x", "y", "z"][: record.vertices.shape[1]]
     if axis not in axes or not isinstance(at, int | float) or not np.isfinite(at):
         raise UserError(
-            f"summary.json: symmetry={plane} must have an axis ({', '.join(axes)}) and a number as its entry `at`"
+            f"summary.json: {key}={plane} must have an axis ({', '.join(axes)}) and a number as its entry `at`"
         )
-    return Mirror.of_box(axes.index(axis), float(at), record.lower, record.upper)
+    return axes.index(axis), float(at)

@@ -20,6 +20,7 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
     """The contents of `summary.json`."""
     evaluations, mirror = run.total("evaluations"), run.scenario.mirror
     symmetry = None if mirror is None else {"axis": "xyz"[mirror.axis], "at": mirror.at}
+    plane = run.scenario.planar
     return {
         "scenario": run.scenario.name,
         "kernel": run.kernel.name,
@@ -50,6 +51,7 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
         "smooth": run.scenario.smooth,
         "symmetry": symmetry,
         "hold_width": None if run.scenario.hold is None else run.scenario.hold.width,
+        "planar": None if plane is None else {"axis": plane.name, "at": plane.at},
         "up": run.scenario.up,
         "vertices": len(run.scenario.vertices),
         "search_vertices": len(run.searched.vertices),

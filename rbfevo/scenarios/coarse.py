@@ -17,8 +17,12 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
     Each compact cell becomes one vertex: the weighted mean of its vertices and of their g, with the sum of their
     weights. Sums over the vertices then keep their value up to the square of the cells' size. The means lose the
     variation of g within a cell: its norm falls below 1, and P with it (see `matched`). It has no faces, and its
-    target is fixed.
+    target is fixed. Of a slab the cells are of one side alone, since a mean of front and back would lie between them,
+    closer to the centers.
     """
+    if len(scenario.vertices) <= count:
+        return scenario
+    scenario = scenario.front()
     n = len(scenario.vertices)
     if n <= count:
         return scenario

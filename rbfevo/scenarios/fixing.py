@@ -18,6 +18,7 @@ from rbfevo.geometry.holding import Hold
 from rbfevo.geometry.lengths import length
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.parameterization import BoxRegion, Region, VertexRegion
+from rbfevo.scenarios.planar import Planar
 from rbfevo.scenarios.templates import Template
 from rbfevo.scenarios.vertex_arrays import vertex_array
 
@@ -32,13 +33,14 @@ class Marking(NamedTuple):
     box: tuple[Points, Points] | None
 
 
-def marked(key: str, value: Any, template: Template) -> Marking:
+def marked(key: str, value: Any, template: Template, planar: Planar | None = None) -> Marking:
     """The vertices that `scenario.{key}=value` marks.
 
     Args:
         key: `fixed` or `hold`.
         value: six numbers of a box (null: open); the name of a point or cell array or a file of one, where any value
             but 0 marks a vertex; or names of patches of the file, in a list or one alone.
+        planar: of a planar design, or None: front and back are both marked, and a box is open along the axis.
 
     Raises:
         UserError: for anything else, or if no vertex is marked, or every one is.
@@ -52,7 +54,10 @@ def marked(key: str, value: Any, template: Template) -> Marking:
         mask = np.asarray((marks.reshape(len(marks), -1) != 0.0).any(axis=1), bool)
     else:
         box = low, high = _box(key, value)
+        if planar is not None:
+            low[planar.plane.axis], high[planar.plane.axis] = -np.inf, np.inf
         mask = np.asarray(((template.vertices >= low) & (template.vertices <= high)).all(axis=1), bool)
+    mask = mask if planar is None else planar.either(mask)
     if not mask.any() and (points is None or not len(points)):
         spans = ", ".join(f"{a:g} to {b:g}" for a, b in zip(*_extent(template.vertices), strict=True))
         raise UserError(f"scenario.{key}={value}: this marks no vertex (the template spans {spans})")
@@ -87,6 +92,7 @@ def fixing(
     template: Template,
     box: tuple[Tensor, Tensor],
     mirror: Mirror | None = None,
+    planar: Planar | None = None,
 ) -> Fixing:
     """What `scenario.fixed`, `hold`, `hold_width` and `keep_out` mean for a template.
 
@@ -96,6 +102,7 @@ def fixing(
         keep_out: whether centers may not sit among the fixed and held vertices; None: only where some are held.
         box: [3], [3] corners of the scenario's box.
         mirror: the symmetry plane, or None: the region where no center may sit, and what is held, is then symmetric.
+        planar: of a planar design, or None: front and back are fixed and held alike, and regions reach through both.
 
     Raises:
         UserError: for a wrong value, or where nothing may move any more.
@@ -105,17 +112,20 @@ def fixing(
     out = keep_out or (keep_out is None and hold is not None)
     notes: dict[str, str] = {}
     stays, region = np.zeros(len(template.vertices), bool), None
-    soft = None if fixed is None else marked("fixed", fixed, template)
+    soft = None if fixed is None else marked("fixed", fixed, template, planar)
     if soft is not None:
         stays |= soft.mask
         notes["fixed"] = f"{int(soft.mask.sum())} of {len(stays)} vertices are fixed"
         if keep_out:
-            region, notes["fixed"] = _region(soft, template, box, mirror), f"{notes['fixed']}, centers are kept out"
+            region, notes["fixed"] = (
+                _region(soft, template, box, mirror, planar),
+                f"{notes['fixed']}, centers are kept out",
+            )
     if hold is None:
         return Fixing(stays, None, None, region, notes)
-    hard = marked("hold", hold, template)
+    hard = marked("hold", hold, template, planar)
     width = length("scenario.hold_width", hold_width, float((box[1] - box[0]).norm()))
-    held = Hold(hard.points, width, mirror)
+    held = Hold(hard.points, width, mirror, None if planar is None else planar.plane)
     blend = held(template.vertices)
     if not (blend < 1.0).any():
         raise UserError(f"scenario.hold={hold}: every vertex is farther than scenario.hold_width={width:.4g} from it")
@@ -129,16 +139,23 @@ def fixing(
     )
     if out:
         both = hard if soft is None or not keep_out else Marking(soft.mask | hard.mask, hard.points, None)
-        region = _region(both, template, box, mirror)
+        region = _region(both, template, box, mirror, planar)
     return Fixing(stays, held, blend, region, notes)
 
 
-def _region(marking: Marking, template: Template, box: tuple[Tensor, Tensor], mirror: Mirror | None) -> Region:
+def _region(
+    marking: Marking,
+    template: Template,
+    box: tuple[Tensor, Tensor],
+    mirror: Mirror | None,
+    planar: Planar | None,
+) -> Region:
     if marking.box is not None:
         low, high = (torch.from_numpy(corner) for corner in marking.box)
         return BoxRegion(low, high, box, mirror)
     beyond = marking.points[~_among(marking.points, template.vertices)]
-    vertices = torch.from_numpy(np.concatenate([template.vertices, beyond]))
+    places = np.concatenate([template.vertices, beyond])
+    vertices = torch.from_numpy(places if planar is None else planar.plane.pinned(places))
     mask = torch.from_numpy(np.concatenate([marking.mask, np.ones(len(beyond), bool)]))
     return VertexRegion(vertices, mask, mirror)
 

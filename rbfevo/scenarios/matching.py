@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from rbfevo.arrays import Array, Ints
 from rbfevo.errors import UserError
+from rbfevo.geometry.curves import segment_lengths
 from rbfevo.geometry.triangles import triangle_areas
 from rbfevo.meshes.numbered import places_of
 from rbfevo.scenarios.templates import Template
@@ -182,20 +183,23 @@ def from_cells(values: Array, template: Template, kind: str) -> Array:
         kind: `nodal`: integrated over a cell, each of whose corners takes its share; `density`: per area, of which a
             vertex takes the mean by areas; `marks`: a vertex of a marked cell is marked.
     """
-    triangles, n = template.triangles, len(template.vertices)
-    areas = triangle_areas(template.vertices, triangles)
-    rows = values[template.cell].reshape(len(triangles), -1)
+    parts, n = (template.segments if template.curve else template.triangles), len(template.vertices)
+    measure = segment_lengths if template.curve else triangle_areas
+    sizes, corners = measure(template.vertices, parts), parts.shape[1]
+    rows = values[template.cell].reshape(len(parts), -1)
     if kind == "marks":
-        weights = np.ones(len(areas))
+        weights = np.ones(len(sizes))
         rows = np.abs(rows)
     elif kind == "nodal":
-        weights = areas / np.bincount(template.cell, areas, minlength=len(values))[template.cell] / 3.0
+        weights = sizes / np.bincount(template.cell, sizes, minlength=len(values))[template.cell] / corners
     else:
-        weights = areas / 3.0
-    corner = triangles.reshape(-1)
-    carried = np.stack([np.bincount(corner, np.repeat(weights * column, 3), minlength=n) for column in rows.T], axis=1)
+        weights = sizes / corners
+    corner = parts.reshape(-1)
+    carried = np.stack(
+        [np.bincount(corner, np.repeat(weights * column, corners), minlength=n) for column in rows.T], axis=1
+    )
     if kind == "density":
-        carried /= np.bincount(corner, np.repeat(weights, 3), minlength=n)[:, None]
+        carried /= np.bincount(corner, np.repeat(weights, corners), minlength=n)[:, None]
     return carried.reshape(n) if values.ndim == 1 else carried
 
 

@@ -1,31 +1,27 @@
-"""A user's mesh that should become a target shape, or follow an adjoint solver's sensitivities."""
+"""The engineer's own mesh, and where it should move: a target shape, or an adjoint solver's sensitivities."""
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.geometry import placement, topology
-from rbfevo.geometry.correspondence import Points, Triangles
+from rbfevo.geometry import topology
+from rbfevo.geometry.correspondence import Points
 from rbfevo.geometry.lengths import length
-from rbfevo.geometry.pairing import REJECTIONS, Pairing, pair
+from rbfevo.geometry.pairing import REJECTIONS
 from rbfevo.scenarios import fixing, sensitivities, signs, smoothing
 from rbfevo.scenarios import symmetry as symmetry_plane
-from rbfevo.scenarios.reading import checked_extent, read_surface
-from rbfevo.scenarios.sampling import open_faces, surface_sampler
+from rbfevo.scenarios.design import Design
+from rbfevo.scenarios.planar import Planar
 from rbfevo.scenarios.scenario import Scenario, times_power_of_two, unit_gradient
+from rbfevo.scenarios.targets import paired
 from rbfevo.scenarios.templates import Template, read_template
-from rbfevo.scenarios.units import nearest_unit
 
 WEIGHTS = ("uniform", "area")
-MIXED_UNITS = 20.0  # ratio of sizes: metres and millimetres, or inches and millimetres
 
 
 def mesh(
@@ -48,6 +44,7 @@ def mesh(
     smooth: Any = None,
     symmetry: str | None = None,
     symmetry_at: float | None = None,
+    planar: str | None = None,
     support: Any = "15%",
     search_vertices: int | None = None,
     up: str = "z",
@@ -79,6 +76,8 @@ def mesh(
         smooth: length over which g is smoothed, model units or a percentage of the box's diagonal; None leaves it.
         symmetry: x, y or z: setups stay symmetric about the plane across that axis, at `symmetry_at` or, where that is
             None, in the middle of the template.
+        planar: x, y or z: a design of two dimensions, the axis across its plane: a slab one cell thick, whose front and
+            back move alike, or a curve.
         support: default support radius of compact kernels: model units, or a percentage of the box's diagonal.
         search_vertices: weighted vertices that searches look at; None for all.
         up: the axis that is up in pictures, x, y or z.
@@ -88,44 +87,59 @@ def mesh(
     """
     _check(template, reject, margin, weights, search_vertices, up)
     choices = sensitivities.Choices(sensitivity_kind, sensitivity_normal, sensitivity_match, objective)
-    read = read_template(str(template), _names(patches))
-    notes = {"template": f"{template}: {len(read.vertices)} vertices, {len(read.triangles)} triangles"} | read.notes
+    read = read_template(str(template), _names(patches), planar is not None)
+    parts = f"{len(read.segments)} segments" if read.curve else f"{len(read.triangles)} triangles"
+    notes = {"template": f"{template}: {len(read.vertices)} vertices, {parts}"} | read.notes
     if (target is None) == (sensitivity is None):
         raise UserError(_which(read, target is not None))
-    design, oddities = _Design.of(read, weights)
+    flat = Planar.of(planar, read.vertices, read.curve)
+    design, oddities = Design.of(read, weights, flat)
     notes |= oddities
-    if topology.flat(read.vertices):
+    if flat is not None:
+        notes["planar"] = flat.note
+    elif topology.flat(read.vertices):
         notes["flat"] = (
             "all vertices lie in one plane: sensitivities along the normal and targets outside the plane move them out "
             "of it; vectors within the plane keep it flat"
         )
     lower, upper = _box(read.vertices, margin)
-    mirror = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, design.triangles, lower, upper)
+    if flat is not None and symmetry == planar:
+        raise UserError(f"scenario.symmetry={symmetry} and scenario.planar={planar}: choose two different axes")
+    rim = design.rim(flat)
+    mirror, more = symmetry_plane.mirror_of(symmetry, symmetry_at, read.vertices, design.surface, rim, lower, upper)
+    if mirror is None:
+        more = symmetry_plane.proposal(read.vertices, rim, None if flat is None else flat.plane.axis)
+    notes |= more
+    exponent, sides, pairing = 0, None, None
     if target is not None:
         choices.refuse_with_target()
-        pairing, more, warnings = _paired(design, target, target_scale, reject)
-        exponent, sides = 0, None
+        pairing, more, warnings = paired(read.vertices, design.normals, target, target_scale, reject, flat)
         wanted, stays = pairing.displacement, pairing.rejected
     else:
-        pairing = None
-        given = str(sensitivity), choices, read, str(template), design.areas, design.mass
-        wanted, exponent, sides, more, warnings = sensitivities.descent(*given)
+        sides = design.sides(read, flat)
+        given = str(sensitivity), choices, read, str(template), sides, design.areas, design.mass
+        wanted, exponent, more, warnings = sensitivities.descent(*given)
         stays = np.zeros(len(wanted), bool)
     notes |= more
-    still = fixing.fixing(fixed, hold, hold_width, keep_out, read, (lower, upper), mirror)
-    stays, wanted = stays | still.stays, np.where(still.stays[:, None], 0.0, wanted)
-    notes |= still.notes
+    still = fixing.fixing(fixed, hold, hold_width, keep_out, read, (lower, upper), mirror, flat)
+    stays, notes = stays | still.stays, notes | still.notes
+    stays = stays if flat is None else flat.either(stays)
+    wanted = np.where(stays[:, None], 0.0, wanted)
     if not wanted.any():
         raise UserError(
             f"{target or sensitivity}: no vertex is left that should move; check scenario.fixed, hold and reject"
         )
+    if flat is not None:
+        wanted, more = flat.wanted(wanted, design.mass)
+        notes |= more
 
     diagonal = float((upper - lower).norm())
     over = None if smooth is None else length("scenario.smooth", smooth, diagonal)
     raw = wanted
     if over is not None:
-        found = smoothing.smoothed(wanted, read.vertices, design.triangles, design.mass, stays, over, target is None)
-        wanted, notes["smooth"] = found.wanted, smoothing.note(found, read.vertices, design.triangles, over)
+        found = smoothing.smoothed(wanted, read.vertices, design.elements, design.mass, stays, over, target is None)
+        wanted, notes["smooth"] = found.wanted, smoothing.note(found, read.vertices, design.elements, over)
+        wanted = wanted if flat is None else flat.averaged(flat.plane.flat(wanted))
     if sides is not None:
         notes["largest move"] = signs.way(wanted, read.vertices, sides, objective)
     vertices, faces, mass = (torch.from_numpy(part) for part in (read.vertices, design.triangles, design.mass))
@@ -133,7 +147,7 @@ def mesh(
     gradient_raw = None if over is None else torch.from_numpy(raw) / norm
     norm = times_power_of_two(norm, exponent)
     if mirror is not None:
-        of_symmetry = mirror, read.vertices, design.triangles, gradient.numpy(), design.mass
+        of_symmetry = mirror, read.vertices, design.surface, gradient.numpy(), design.mass
         more, doubts = symmetry_plane.notes_and_warnings(*of_symmetry)
         notes, warnings = notes | more, warnings + doubts
     return Scenario(
@@ -144,8 +158,8 @@ def mesh(
         weights=mass,
         lower=lower,
         upper=upper,
-        support=length("scenario.support", support, diagonal),
-        sample=surface_sampler(vertices, open_faces(vertices, faces, still.region)),
+        support=_support(support, lower, upper, flat),
+        sample=design.sampler(still.region),
         gradient_norm=norm,
         notes=notes,
         warnings=warnings,
@@ -162,30 +176,8 @@ def mesh(
         objective=None if target is not None else objective,
         smooth=over,
         gradient_raw=gradient_raw,
+        planar=None if flat is None else flat.plane,
     )
-
-
-@dataclasses.dataclass(frozen=True)
-class _Design:
-    """A template's consistently wound triangles, and the normals [n, 3], areas and mass [n] of its vertices."""
-
-    vertices: Points
-    triangles: Triangles
-    normals: Points
-    areas: NDArray[np.float64]
-    mass: NDArray[np.float64]
-
-    @staticmethod
-    def of(template: Template, weights: str) -> tuple[_Design, dict[str, str]]:
-        """The design of a template, and notes on the oddities of its surface."""
-        vertices, edges = template.vertices, topology.edges_of(len(template.vertices), template.triangles)
-        notes = topology.oddities(vertices, template.triangles, edges)
-        triangles, turned = topology.oriented(vertices, template.triangles, edges)
-        if turned:
-            notes["winding"] = f"{turned} triangles were turned, so that all normals point to the same side"
-        areas = topology.vertex_areas(vertices, triangles)
-        mass = areas / areas.mean() if weights == "area" else np.ones(len(areas))
-        return _Design(vertices, triangles, topology.vertex_normals(vertices, triangles), areas, mass), notes
 
 
 def _names(patches: Any) -> tuple[str, ...] | None:
@@ -231,40 +223,8 @@ def _box(vertices: Points, margin: float) -> tuple[Tensor, Tensor]:
     return torch.from_numpy(low - around), torch.from_numpy(high + around)
 
 
-def _paired(
-    design: _Design, target: str, scale: float | None, reject: str
-) -> tuple[Pairing, dict[str, str], list[str]]:
-    """Pairs of the design's vertices with the target, after a check of its unit; notes and warnings."""
-    points, triangles = read_surface(target)
-    if scale is not None and not (math.isfinite(scale) and scale > 0):
-        raise UserError(f"scenario.target_scale={scale}: give a positive number")
-    if scale is not None:
-        with np.errstate(over="ignore"):
-            points = points * scale
-        checked_extent(f"{target} times scenario.target_scale={scale:g}", points)
-    mine, its = (float(np.linalg.norm(np.ptp(part, axis=0))) for part in (design.vertices, points))
-    if scale is None and not 1.0 / MIXED_UNITS < its / mine < MIXED_UNITS:
-        raise UserError(
-            f"{target}: the target's diagonal is {its:.4g}, the template's {mine:.4g}: are their units different? Set "
-            f"scenario.target_scale={nearest_unit(mine / its):g} to scale the target, or 1 to keep its size"
-        )
-    points, triangles = placement.merge_coincident(points, triangles)
-    if triangles is not None and len(triangles) == 0:
-        raise UserError(f"{target}: merging coincident vertices leaves no triangle; check the file")
-    found = pair(design.vertices, design.normals, points, triangles, reject)
-    kind = "a cloud" if triangles is None else f"{len(triangles)} triangles"
-    notes = {"target": f"{target}: {len(points)} distinct vertices, {kind}"} | found.notes
-    if found.rejected.all():
-        raise UserError(
-            f"{target}: all pairs of template and target are rejected; check that both are in the same place, or set "
-            "scenario.reject=none"
-        )
-    apart = np.maximum(
-        points.min(axis=0) - design.vertices.max(axis=0), design.vertices.min(axis=0) - points.max(axis=0)
-    )
-    warnings = []
-    if apart.max() > mine:
-        warnings.append(
-            f"the target lies {apart.max():.3g} away from the template: do both have the same coordinate system?"
-        )
-    return found, notes, warnings
+def _support(value: Any, lower: Tensor, upper: Tensor, flat: Planar | None) -> float:
+    """The default support radius, model units: a percentage is of the diagonal of the box, or of its planar cut."""
+    if flat is None:
+        return length("scenario.support", value, float((upper - lower).norm()))
+    return flat.support(value, float((upper - lower)[flat.plane.others].norm()))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from scipy.spatial import KDTree
 from torch import Tensor
@@ -9,6 +11,7 @@ from torch import Tensor
 from rbfevo.scenarios.scenario import Scenario
 
 FARTHEST = 2.0  # diagonals of the box
+THICK = 1.5  # support radii below that many times half the thickness of a slab get a warning
 
 
 def unfit(scenario: Scenario, support: float | None) -> list[str]:
@@ -18,6 +21,13 @@ def unfit(scenario: Scenario, support: float | None) -> list[str]:
         return [
             f"the support radius {support:g} is {support / scenario.diagonal:.3g} times the diagonal of "
             "the box, so every center moves everything almost alike; for a percentage write kernel.support=15%"
+        ]
+    if support is not None and scenario.planar is not None and support < THICK * scenario.planar.depth:
+        depth, wanted = scenario.planar.depth, math.hypot(scenario.support, scenario.planar.depth)
+        reach = f"{math.sqrt(support**2 - depth**2):.3g} in the plane" if support > depth else "no vertex at all"
+        return [
+            f"the slab is {2.0 * depth:g} thick, so a center in its mid-plane with the support radius {support:g} "
+            f"reaches {reach}; a thinner slab, or a kernel.support of {wanted:.3g} or more, is better conditioned"
         ]
     if support is None or not len(faces):
         return []

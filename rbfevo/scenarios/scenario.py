@@ -16,6 +16,7 @@ from rbfevo.errors import UserError
 from rbfevo.geometry.holding import Hold
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.parameterization import Parameterization, Region
+from rbfevo.geometry.planar import Plane
 
 Sampler = Callable[[int, int, torch.Generator], Tensor]
 Closest = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -54,6 +55,8 @@ class Scenario:
         smooth: length over which g was smoothed, model units, or None.
         gradient_raw: [n, k] g before smoothing, in the scale of `gradient`: displacement = gradient_raw *
             gradient_norm; None where it was not smoothed, and on coarse designs.
+        planar: the mid-plane of a planar design, which is a slab one cell thick or a curve, or None. Centers sit in it,
+            and g has no component along its axis.
     """
 
     name: str
@@ -81,6 +84,7 @@ class Scenario:
     objective: str | None = None
     smooth: float | None = None
     gradient_raw: Tensor | None = None
+    planar: Plane | None = None
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
@@ -100,8 +104,11 @@ class Scenario:
 
     @property
     def diagonal(self) -> float:
-        """Length of the box's diagonal, model units."""
-        return float((self.upper - self.lower).norm())
+        """Length of the box's diagonal, of a planar design of that of its cut with the mid-plane, model units."""
+        sides = self.upper - self.lower
+        if self.planar is not None:
+            sides = sides[self.planar.others]
+        return float(sides.norm())
 
     @property
     def side(self) -> float:
@@ -122,7 +129,7 @@ class Scenario:
     @property
     def parameterization(self) -> Parameterization:
         """The map from points in the box to setups."""
-        return Parameterization(self.mirror, self.side, self.keep_out)
+        return Parameterization(self.mirror, self.side, self.keep_out, self.planar)
 
     def half(self, open_only: bool = False) -> Scenario:
         """The design on the centers' side of the mirror, plane included; the whole one where there is no mirror.
@@ -142,6 +149,20 @@ class Scenario:
         parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
         if not bool((parts["gradient"] != 0).any()):
             return self
+        return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None, gradient_raw=None)
+
+    def front(self) -> Scenario:
+        """Of a slab the vertices on one side, with twice their weights; any other design as it is.
+
+        Both sides have the same distances to every center in the mid-plane and the same g, so that R and P are those of
+        the whole slab. It has no faces.
+        """
+        if self.planar is None or self.planar.depth == 0.0:
+            return self
+        kept = self.vertices[:, self.planar.axis] > self.planar.at
+        names = ("vertices", "gradient", "weights", *([] if self.blend is None else ["blend"]))
+        parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
+        parts["weights"] = 2.0 * parts["weights"]
         return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None, gradient_raw=None)
 
     def to(self, device: torch.device) -> Scenario:

@@ -65,21 +65,23 @@ class Choices:
 
 
 class Descent(NamedTuple):
-    """The wanted displacement [n, 3] times 2^-exponent, the surface's sides, and notes and warnings."""
+    """The wanted displacement [n, 3] times 2^-exponent, and notes and warnings."""
 
     wanted: Array
     exponent: int
-    sides: Sides
     notes: dict[str, str]
     warnings: list[str]
 
 
-def descent(source: str, choices: Choices, template: Template, title: str, areas: Array, weights: Array) -> Descent:
+def descent(
+    source: str, choices: Choices, template: Template, title: str, sides: Sides, areas: Array, weights: Array
+) -> Descent:
     """Read `scenario.sensitivity=source` and turn it into the wanted displacement.
 
     Args:
         source: as `vertex_array` takes it; choices: the settings that belong to it.
-        template: the surface; title: its file's name; areas: [n] of its vertices; weights: [n] positive.
+        template: the surface; title: its file's name; sides: its normals; areas: [n] of its vertices.
+        weights: [n] positive.
 
     Raises:
         UserError: for values that cannot be read or are all 0, and where it is in doubt what they mean.
@@ -94,7 +96,6 @@ def descent(source: str, choices: Choices, template: Template, title: str, areas
         )
     if not np.any(values):
         raise UserError(f"scenario.sensitivity={source}: it is zero at every vertex, so nothing should move")
-    sides = signs.sides(template.vertices, template.triangles)
     normals = sides.outward
     if values.ndim == 1:
         normals = signs.normals(sides, choices.normal, values, template.vertices, source, choices.objective)
@@ -110,7 +111,6 @@ def descent(source: str, choices: Choices, template: Template, title: str, areas
     return Descent(
         wanted(scaled, normals, areas, weights, kind, choices.objective),
         exponent,
-        sides,
         notes,
         _warnings(source, values, template, title, sides),
     )

@@ -8,15 +8,17 @@ reading. Elsewhere `scenario.sensitivity_normal` decides, and without it the run
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from rbfevo.arrays import Points, Triangles
+from rbfevo.arrays import Ints, Points, Triangles
 from rbfevo.errors import UserError
-from rbfevo.geometry import topology
+from rbfevo.geometry import curves, topology
+from rbfevo.geometry.planar import Plane
 
 NORMALS = ("outward", "as_wound")
 SAME = 1e-6  # by which two unit normals may differ, for rounding
@@ -49,7 +51,11 @@ class Sides:
         return np.linalg.norm(self.outward - self.wound, axis=1) > SAME
 
 
-def sides(vertices: Points, triangles: Triangles) -> Sides:
+def sides(
+    vertices: Points,
+    triangles: Triangles,
+    normals_of: Callable[[Points, Triangles], Points] = topology.vertex_normals,
+) -> Sides:
     """Find the outward normals of a surface, and those of its file.
 
     Outward is, of a closed piece, out of the volume that it encloses; of the other pieces, out of the volume that they
@@ -58,7 +64,7 @@ def sides(vertices: Points, triangles: Triangles) -> Sides:
     exactly the same place count as one, so that patches that meet without sharing vertices are one piece.
 
     Args:
-        vertices: [n, 3]; triangles: [f, 3] as the file winds them.
+        vertices: [n, 3]; triangles: [f, 3] as the file winds them; normals_of: (vertices, triangles) -> [n, 3].
     """
     places, place = np.unique(vertices, axis=0, return_inverse=True)
     merged = place.reshape(-1)[triangles]
@@ -70,9 +76,22 @@ def sides(vertices: Points, triangles: Triangles) -> Sides:
     if enclosed < -topology.FLAT:
         turned = np.where(unsettled[:, None], turned[:, ::-1], turned)
     reversed_ = (turned != merged).any(axis=1)
-    outward = topology.vertex_normals(vertices, np.where(reversed_[:, None], triangles[:, ::-1], triangles))
+    outward = normals_of(vertices, np.where(reversed_[:, None], triangles[:, ::-1], triangles))
     sided = bool((~unsettled).any()) or abs(enclosed) > topology.FLAT
-    return Sides(outward, topology.vertex_normals(vertices, triangles), sided, topology.clashes(edges), one_sided)
+    return Sides(outward, normals_of(vertices, triangles), sided, topology.clashes(edges), one_sided)
+
+
+def sides_of_curve(vertices: Points, segments: Ints, outward: Points, plane: Plane) -> Sides:
+    """The sides of a curve in a plane.
+
+    Args:
+        vertices: [n, 3]; segments: [s, 2] as the file has them; outward: [n, 3] unit normals; plane: of the curve.
+    """
+    wound = np.zeros(vertices.shape)
+    wound[:, plane.others] = curves.normals(vertices[:, plane.others], segments)
+    starts, ends = (np.bincount(segments[:, side], minlength=len(vertices)) for side in (0, 1))
+    clashes = int(((starts + ends == 2) & (starts != 1)).sum())
+    return Sides(outward, wound, not len(curves.ends(len(vertices), segments)), clashes, 0)
 
 
 def _unsettled(edges: topology.Edges, f: int) -> NDArray[np.bool_]:

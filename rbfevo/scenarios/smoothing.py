@@ -39,7 +39,7 @@ def smoothed(
     corner, and nothing flows over the border between them. A vertex that has only such triangles keeps its value.
 
     Args:
-        wanted: [n, k]; vertices: [n, 3]; triangles: [f, 3]; weights: [n] of the inner product.
+        wanted: [n, k]; vertices: [n, 3]; triangles: [f, 3], or segments [s, 2] of a curve; weights: [n].
         held: [n] vertices that should not move; length: l, model units.
         integrated: whether `wanted` comes from integrated sensitivities, not from a displacement.
     """

@@ -1,4 +1,4 @@
-"""Read a user's template: a surface, and the arrays of its points and cells."""
+"""Read a user's template: a surface or a curve, and the arrays of its points and cells."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from rbfevo.arrays import Array, Points, Triangles
+from rbfevo.arrays import Array, Ints, Points, Triangles
 from rbfevo.errors import UserError
+from rbfevo.geometry import topology
+from rbfevo.geometry.curves import segment_lengths
 from rbfevo.meshes import cells, opened
+from rbfevo.meshes.lines import Lines, lines_of
 from rbfevo.meshes.mesh import Mesh
-from rbfevo.meshes.surface import Surface, patch_points
+from rbfevo.meshes.surface import Surface, patch_cells, patch_points
 from rbfevo.names import existing_home
 from rbfevo.scenarios.reading import checked_extent, surface
 
@@ -22,20 +25,22 @@ _ROUNDING = 4.0 * np.finfo(np.float64).eps
 
 @dataclasses.dataclass(frozen=True)
 class Template:
-    """A surface of n vertices and f triangles, in the file's units and order.
+    """A surface of n vertices and f triangles, or a curve of s segments, in the file's units and order.
 
     Attributes:
-        vertices: [n, 3] float64, the file's points that belong to a triangle with an area.
+        vertices: [n, 3] float64, the file's points that belong to a triangle with an area, or to a segment.
         triangles: [f, 3] int64 into vertices; each has an area.
         arrays: numeric point arrays by name, float64, [n] or [n, c].
         rows: [n] int64, ascending: which of the file's points each vertex is (STL: after merging).
         count: points in the file (STL: after merging).
         notes: a line for each oddity that was accepted, by title.
         cell_arrays: numeric arrays of the file's cells by name, [c] or [c, k].
-        cell: [f] int64, the cell that each triangle is a part of; -1 on the boundary of a volume.
+        cell: [f] or [s] int64, the cell that each triangle or segment is a part of; -1 on the boundary of a volume.
         numbers: [count] the file's own numbers of its points, where the format has them.
         patches: the names of the file's patches; patch_points: (setting, names) -> the points [h, 3] of some of them, a
             UserError that names the setting for a name that there is not.
+        patches: the names of the file's patches.
+        segments: [s, 2] int64 into vertices, of a curve, which has no triangles; each has a length.
     """
 
     vertices: Points
@@ -49,9 +54,15 @@ class Template:
     numbers: NDArray[np.int64] | None = None
     patches: tuple[str, ...] = ()
     patch_points: Callable[[str, Sequence[str]], Points] = lambda setting, names: np.empty((0, 3))
+    segments: Ints = dataclasses.field(default_factory=lambda: np.empty((0, 2), np.int64))
+
+    @property
+    def curve(self) -> bool:
+        """Whether it is a curve."""
+        return len(self.segments) > 0
 
 
-def read_template(path: str | Path, patches: Sequence[str] | None = None) -> Template:
+def read_template(path: str | Path, patches: Sequence[str] | None = None, curves: bool = False) -> Template:
     """Read a surface with faces, in any of the formats of `rbfevo.meshes` but for clouds.
 
     Polygons are cut into triangles; of a mesh that fills a volume, the boundary is taken; triangles without an area,
@@ -60,15 +71,57 @@ def read_template(path: str | Path, patches: Sequence[str] | None = None) -> Tem
 
     Args:
         path: the file; patches: names of patches (markers, groups, sets) to take, None for all.
+        curves: whether a file may hold a curve: line cells without faces, or beside those of a mesh in one plane.
 
     Raises:
         UserError: if the file is missing, unreadable, of an unknown ending, or holds no usable surface: a cloud, a
-            curve, or faces without area or with coordinates that are not finite.
+            curve where none is expected, or faces without area or with coordinates that are not finite.
     """
     path = existing_home(path)
     with opened(path) as mesh:
         pass
-    return template_of(path, mesh, surface(path, mesh, patches))
+    lines = curve_of(path, mesh, patches) if curves else None
+    return template_of(path, mesh, surface(path, mesh, patches)) if lines is None else curve_template(path, mesh, lines)
+
+
+def curve_of(path: Path, mesh: Mesh, patches: Sequence[str] | None = None) -> Lines | None:
+    """The curve of a mesh: the lines of its patches if these have no faces, or all lines of a mesh in one plane.
+
+    Raises:
+        UserError: if there is no such patch.
+    """
+    try:
+        lines = lines_of(mesh, patches)
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+    if not len(lines.segments) or cells.solids(mesh.cells):
+        return None
+    faces = np.isin(mesh.cells.kinds, cells.FLAT)
+    if patches:
+        members = np.zeros(len(faces), bool)
+        members[patch_cells(mesh, patches)] = True
+        return None if (faces & members).any() else lines
+    used = np.unique(mesh.cells.corners)
+    return lines if not faces.any() or topology.flat(mesh.points[used]) else None
+
+
+def curve_template(path: Path, mesh: Mesh, lines: Lines) -> Template:
+    """The template that lines of a mesh make: segments without a length and repeated ones are left out, with a note.
+
+    Raises:
+        UserError: if no segment is left, or vertices have coordinates that are not finite.
+    """
+    segments, notes = lines.segments, mesh.notes | lines.notes
+    _refuse_not_finite(path, mesh.points, np.unique(segments), "lines")
+    extent = checked_extent(path, mesh.points[np.unique(segments)])
+    kept = segment_lengths(mesh.points / extent, segments) > _ROUNDING
+    kept[kept] &= _first_rows(np.sort(segments[kept], axis=1))[0]
+    if not kept.any():
+        raise UserError(f"{path}: none of its {len(segments)} lines has any length")
+    if not kept.all():
+        notes["dropped lines"] = f"{int((~kept).sum())} of {len(kept)} lines have no length or repeat another"
+    nothing = np.empty((0, 3), np.int64)
+    return _numbered(mesh, mesh.points, nothing, lines.cell[kept], notes, "line", segments[kept])
 
 
 def template_of(path: Path, mesh: Mesh, found: Surface) -> Template:
@@ -97,13 +150,18 @@ def template_of(path: Path, mesh: Mesh, found: Surface) -> Template:
         notes["repeated triangles"] = f"{int((~kept).sum())} triangles repeat another one and are left out"
         triangles, cell = triangles[kept], cell[kept]
 
+    return _numbered(mesh, points, triangles, cell, notes, "triangle", np.empty((0, 2), np.int64))
+
+
+def _numbered(
+    mesh: Mesh, points: Points, triangles: Triangles, cell: Ints, notes: dict[str, str], part: str, segments: Ints
+) -> Template:
+    """The template of triangles or segments of points, whose vertices are the points in these."""
     used = np.zeros(len(points), bool)
-    used[triangles] = True
+    used[triangles] = used[segments] = True
     rows = np.flatnonzero(used)
     if len(rows) < len(points):
-        notes["unused points"] = (
-            f"{len(points) - len(rows)} of {len(points)} points are in no triangle and are left out"
-        )
+        notes["unused points"] = f"{len(points) - len(rows)} of {len(points)} points are in no {part} and are left out"
     vertices = points[rows]
     coincident = len(vertices) - int(_first_rows(vertices)[0].sum())
     if coincident:
@@ -121,6 +179,7 @@ def template_of(path: Path, mesh: Mesh, found: Surface) -> Template:
         mesh.numbers,
         tuple(mesh.patches),
         lambda setting, names: mesh.points[patch_points(mesh, names, setting)],
+        renumbered[segments],
     )
 
 
@@ -129,8 +188,8 @@ def _without_faces(mesh: Mesh) -> str:
     lines = cells.counts(mesh.cells).get("lines", 0)
     if lines:
         return (
-            f"it holds a curve ({lines} lines) and no faces, but rbfevo deforms surfaces: extrude the curve by one "
-            "cell, or give the mesh of the area that it bounds"
+            f"it holds a curve ({lines} lines) and no faces: set scenario.planar=z (or x, y), the axis across its "
+            "plane, to deform the curve, or give a surface"
         )
     return f"it holds {len(mesh.points)} points but no faces (a cloud, or damaged?); give a surface mesh"
 
@@ -142,12 +201,7 @@ def _with_area(path: Path, points: Points, triangles: Triangles) -> NDArray[np.b
     used = np.unique(triangles[kept])
     if used.size == 0:
         return kept
-    bad = int((~np.isfinite(points[used])).any(axis=1).sum())
-    if bad:
-        raise UserError(
-            f"{path}: {bad} of {len(used)} vertices of its triangles have coordinates that are not finite "
-            "(NaN or infinite)"
-        )
+    _refuse_not_finite(path, points, used, "triangles")
     scaled = points / checked_extent(path, points[used])  # so that no square overflows or underflows
     sound = np.flatnonzero(kept)
     corners = scaled[triangles[sound]]
@@ -156,6 +210,15 @@ def _with_area(path: Path, points: Points, triangles: Triangles) -> NDArray[np.b
     doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
     kept[sound] = doubled > _ROUNDING * longest * (longest + np.abs(corners).max(axis=(1, 2)))
     return kept
+
+
+def _refuse_not_finite(path: Path, points: Points, used: Ints, parts: str) -> None:
+    bad = int((~np.isfinite(points[used])).any(axis=1).sum())
+    if bad:
+        raise UserError(
+            f"{path}: {bad} of {len(used)} vertices of its {parts} have coordinates that are not finite "
+            "(NaN or infinite)"
+        )
 
 
 def _first_of_equal(triangles: Triangles) -> NDArray[np.bool_]:

@@ -210,7 +210,13 @@ class MirroredSpectrum(Spectrum):
 def evaluator_of(
     scenario: Scenario, kernel: Kernel | Representation, manipulation: str, backend: str = "auto"
 ) -> Evaluator:
-    """The evaluator of a scenario's design, of symmetric setups where the scenario is symmetric."""
+    """The evaluator of a scenario's design, of symmetric setups where the scenario is symmetric.
+
+    Raises:
+        UserError: if the representation has no symmetric setups, or no planar ones, where they are asked for.
+    """
+    if scenario.planar is not None and not isinstance(kernel, Kernel | RBF):
+        raise UserError(f"scenario.planar={scenario.planar.name}: representation={kernel.name} has no planar setups")
     design = (scenario.vertices, scenario.gradient, kernel, manipulation, scenario.weights, backend)
     if scenario.mirror is None:
         return Evaluator(*design, blend=scenario.blend)

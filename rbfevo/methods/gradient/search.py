@@ -116,7 +116,8 @@ class GradientSearch(Method):
         if problem.representation.atoms(problem.scenario.vertices) is None:
             return None
         lloyd = LloydHeuristic(starts=3, iterations=50).place(problem)[0]
-        per_axis = 30 if problem.scenario.vertices.shape[1] == 2 else 15
+        flat = problem.scenario.vertices.shape[1] == 2 or problem.scenario.planar is not None
+        per_axis = 30 if flat else 15
         return torch.stack((lloyd, OlsHeuristic(per_axis=per_axis).place(problem)[0]))
 
     def step(self) -> None:
