@@ -201,7 +201,8 @@ def build(folder: Path, axis: str = "z", **settings: Any) -> Scenario:
 @pytest.mark.parametrize("weights", ["uniform", "area"])
 def test_a_scalar_is_taken_along_the_outward_normal_and_per_length(axis: int, weights: str, folder: Path) -> None:
     for kind in ("nodal", "density"):
-        made = build(folder, "xyz"[axis], sensitivity="scalar", sensitivity_kind=kind, weights=weights)
+        made = build(folder, "xyz"[axis], sensitivity="scalar", sensitivity_kind=kind, weights=weights,
+                     sensitivity_normal="outward")  # fmt: skip
         mass = LENGTHS / LENGTHS.mean() if weights == "area" else np.ones(COUNT)
         wanted = -((2.0 + FLAT[:, 0]) * (LENGTHS if kind == "density" else 1.0) / mass)[:, None] * outward()
         wanted = lifted(wanted / np.sqrt((mass[:, None] * wanted**2).sum()), axis, 0.0)
@@ -217,7 +218,7 @@ def test_a_scalar_is_taken_along_the_outward_normal_and_per_length(axis: int, we
 
 
 def test_cell_arrays_of_segments(folder: Path) -> None:
-    made = build(folder, sensitivity="force")
+    made = build(folder, sensitivity="force", sensitivity_normal="outward")
     force = SIDES * (2.0 + 0.5 * (FLAT[:, 0] + np.roll(FLAT[:, 0], -1)))
     wanted = -0.5 * (force + np.roll(force, 1))[:, None] * outward()
     np.testing.assert_allclose(made.gradient[:, :2].numpy(), wanted / np.linalg.norm(wanted), atol=1e-12)

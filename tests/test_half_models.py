@@ -85,7 +85,12 @@ def build(surface: Any, tmp_path: Path, **settings: Any) -> Scenario:
     surface.points = np.asarray(surface.points, np.float64)
     x = np.asarray(surface.points)
     wanted = np.stack([np.exp(-((x[:, 0] - 0.7) ** 2)), x[:, 1], 0.3 + x[:, 2] ** 2], axis=1)
-    return mesh(template=str(saved(surface, tmp_path / "t.vtp", s=wanted)), sensitivity="s", **settings)
+    return mesh(
+        template=str(saved(surface, tmp_path / "t.vtp", s=wanted)),
+        sensitivity="s",
+        sensitivity_kind="nodal",
+        **settings,
+    )
 
 
 def test_the_share_of_the_rim_is_a_length() -> None:

@@ -31,7 +31,7 @@ from rbfevo.scoring.kernels import Wendland
 from rbfevo.scoring.symmetric import MirroredEvaluator, evaluator_of
 
 SUPPORT = 1.5
-WIDE = "scenario.hold_width=2.5"
+BUSY = ("scenario.hold=[-1.2,null,null,0.3,null,null]", "scenario.hold_width=1.0")  # where most wants to move
 
 
 def smooth_step(distance: np.ndarray, width: float) -> np.ndarray:
@@ -235,8 +235,8 @@ def test_patches_are_held_whether_they_belong_to_the_template_or_not(tmp_path: P
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"hold": [9, 9, 9, 10, 10, 10]}, "scenario.hold=.*marks no vertex"),
-        ({"hold": [None] * 6}, "scenario.hold=.*marks every vertex"),
+        ({"hold": [9, 9, 9, 10, 10, 10]}, "scenario.hold=.*this holds no vertex"),
+        ({"hold": [None] * 6}, "scenario.hold=.*this holds every vertex"),
         ({"hold": [1, 2, 3]}, "scenario.hold=.*a box is six numbers.*or a patch"),
         ({"hold": "nowhere"}, "scenario.hold=nowhere"),
         ({"hold": "end", "hold_width": 0}, "scenario.hold_width=0: "),
@@ -416,7 +416,7 @@ def test_a_run_is_resumed_only_with_the_same_hold(egg: Path, tmp_path: Path) -> 
 
 
 def test_ols_picks_the_candidate_that_gains_most_under_the_hold(egg: Path, tmp_path: Path) -> None:
-    run = a_run(egg, tmp_path / "run", "method=ols", "method.per_axis=7", "centers=1", "scenario.keep_out=false", WIDE)
+    run = a_run(egg, tmp_path / "run", "method=ols", "method.per_axis=7", "centers=1", "scenario.keep_out=false", *BUSY)
     record = read(run)
     axes = [np.linspace(a, b, 7) for a, b in zip(record.lower, record.upper, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

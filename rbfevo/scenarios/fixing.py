@@ -22,6 +22,7 @@ from rbfevo.scenarios.planar import Planar
 from rbfevo.scenarios.templates import Template
 from rbfevo.scenarios.vertex_arrays import vertex_array
 
+VERBS = {"fixed": "fixes", "hold": "holds"}
 SHAPE = "a box is six numbers, [xmin,ymin,zmin,xmax,ymax,zmax], with null for an open side"
 
 
@@ -60,9 +61,9 @@ def marked(key: str, value: Any, template: Template, planar: Planar | None = Non
     mask = mask if planar is None else planar.either(mask)
     if not mask.any() and (points is None or not len(points)):
         spans = ", ".join(f"{a:g} to {b:g}" for a, b in zip(*_extent(template.vertices), strict=True))
-        raise UserError(f"scenario.{key}={value}: this marks no vertex (the template spans {spans})")
+        raise UserError(f"scenario.{key}={value}: this {VERBS[key]} no vertex (the template spans {spans})")
     if mask.all():
-        raise UserError(f"scenario.{key}={value}: this marks every vertex, so nothing can move")
+        raise UserError(f"scenario.{key}={value}: this {VERBS[key]} every vertex, so nothing can move")
     return Marking(mask, template.vertices[mask] if points is None else points, box)
 
 
