@@ -265,11 +265,14 @@ def closing(
 
 
 def _fixed(record: Record, move: Move) -> list[str]:
-    """How far the setup moves vertices that should not move, if there are any."""
-    if record.stays is None or not record.stays.any():
-        return []
-    farthest = float(np.linalg.norm(move.reached[record.stays], axis=1).max())
-    return [f"{int(record.stays.sum())} vertices should not move; the setup moves them by at most {farthest:.4g}"]
+    """How many vertices are held, and how far the setup moves those that should not move, if there are any."""
+    held = np.zeros(len(record.vertices), bool) if record.blend is None else record.blend == 0.0
+    lines = [f"{int(held.sum())} vertices are held and do not move"] if held.any() else []
+    soft = held[:0] if record.stays is None else record.stays & ~held
+    if soft.any():
+        farthest = float(np.linalg.norm(move.reached[soft], axis=1).max())
+        lines.append(f"{int(soft.sum())} vertices should not move; the setup moves them by at most {farthest:.4g}")
+    return lines
 
 
 if __name__ == "__main__":

@@ -342,6 +342,8 @@ def test_held_vertices_stay_to_the_bit_in_exports_and_deformed_meshes(
     printed = capsys.readouterr().out
     assert "left out: parameters.prm: PyGeM has no held regions" in printed
     record = read(run)
+    assert f"{int((read(run).vertices[:, 0] < -1.6).sum())} vertices are held and do not move" in printed
+    assert "should not move" not in printed
     chosen = setup(record, 0)
     assert record.blend is not None
     held = record.blend == 0

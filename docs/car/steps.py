@@ -38,26 +38,30 @@ def draw(record: Record, steps: dict[str, tuple[np.ndarray, float, float]], out:
     """Draw the sensitivity per area, raw and smoothed on one scale, and the steps on another."""
     areas = sobolev.mass(record.vertices, record.faces)[:, None]
     raw = record.gradient if record.gradient_raw is None else record.gradient_raw
-    per_area = [np.linalg.norm(field * record.weights[:, None] / areas, axis=1) for field in (raw, record.gradient)]
+    fields = (raw, record.gradient, raw - record.gradient)
+    per_area = [np.linalg.norm(field * record.weights[:, None] / areas, axis=1) for field in fields]
     top = float(np.percentile(per_area[0], 99.5))
     moves = {rule: np.linalg.norm(displacement, axis=1) for rule, (displacement, _, _) in steps.items()}
     largest = max(float(move.max()) for move in moves.values())
     panels = [
         ("sensitivity per area, raw", per_area[0], "viridis", top),
-        ("sensitivity per area, smoothed", per_area[1], "viridis", top),
+        ("smoothed", per_area[1], "viridis", top),
+        ("what smoothing removes", per_area[2], "viridis", top),
         *(
             (f"{rule}: drag {100 * real / drag_of(record):+.1f} %", moves[rule], "magma_r", largest)
             for rule, (_, _, real) in steps.items()
         ),
     ]
-    plotter: Any = pv.Plotter(shape=(2, 3), off_screen=True, window_size=[1800, 900], border=False)
-    for place, (title, values, colors, most) in zip([(0, 0), (0, 1), (1, 0), (1, 1), (1, 2)], panels, strict=True):
+    plotter: Any = pv.Plotter(shape=(2, 3), off_screen=True, window_size=[1800, 820], border=False)
+    for place, (title, values, colors, most) in zip(
+        [(row, column) for row in (0, 1) for column in (0, 1, 2)], panels, strict=True
+    ):
         plotter.subplot(*place)
         surface: Any = pv.PolyData.from_regular_faces(record.vertices, record.faces)
         plotter.add_mesh(surface, scalars=values, cmap=colors, clim=[0.0, most], show_scalar_bar=False)
         plotter.add_text(title, font_size=11, position="upper_edge", color="black")
         plotter.camera_position = [(-7.5, -9.5, 5.5), (-0.1, 0.0, 0.55), (0.0, 0.0, 1.0)]
-        plotter.camera.zoom(1.5)
+        plotter.camera.zoom(2.0)
     plotter.background_color = pv.Color("white")
     out.parent.mkdir(parents=True, exist_ok=True)
     plotter.screenshot(out)
