@@ -93,11 +93,7 @@ def carry_out(options: argparse.Namespace) -> None:
         if turned and not options.force:
             raise UserError(f"{options.mesh}: {turned}, or add --force to write the mesh anyway")
         notes = meshes.write(mesh, options.mesh, moved, displacement, options.out)
-        centers = (
-            chosen.blend(chosen.centers) * rows
-            if what == "displacements"
-            else chosen.displacement(chosen.centers, weights)
-        )
+        centers = chosen.moved(rows) if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
         largest = float(np.linalg.norm(centers, axis=1).max(initial=0.0))
         for warning in [*warnings(record, chosen, mesh, moved, length, largest), *([turned] if turned else [])]:

@@ -136,7 +136,7 @@ def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, 
         names, columns = ["dx", "dy", "dz"], spatial(move.centers)
         if chosen.hold is not None:
             names = [*names, *MOVED]
-            columns = np.hstack([columns, spatial(chosen.blend(chosen.centers) * move.centers)])
+            columns = np.hstack([columns, spatial(chosen.moved(move.centers))])
         contents["displacements.csv"] = _numbered(names, places, columns)
         from rbfevo.commands import pygem
 
@@ -214,7 +214,7 @@ def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
         "center": physical.column.astype(np.int64),
         "mirrored": physical.mirrored.astype(np.uint8),
         "times": (1 + chosen.on_plane[physical.column]).astype(np.uint8),
-        "displacement": spatial(chosen.with_images(chosen.blend(chosen.centers) * move.centers)),
+        "displacement": spatial(chosen.with_images(chosen.moved(move.centers))),
     }
     if chosen.support is not None:
         arrays["support"] = np.full(len(physical.points), chosen.support)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from rbfevo.arrays import Array
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.planar import Plane
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,6 +37,8 @@ class Hold:
 
     @functools.cached_property
     def _tree(self) -> KDTree:
+        from scipy.spatial import KDTree  # which takes a while, and most commands need none
+
         points = self.points if self.plane is None else self.plane.pinned(self.points)
         if self.mirror is not None:
             points = np.concatenate([points, self.mirror.image(points)])

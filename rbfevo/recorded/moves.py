@@ -9,7 +9,6 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
-from rbfevo.geometry import sobolev
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import EPS, Setup
 from rbfevo.scoring.maxnorm import Block, best_displacement
@@ -104,6 +103,8 @@ def _stepped(record: Record, chosen: Setup, rule: str) -> Array:
     weights = np.zeros((chosen.count, record.gradient.shape[1]))
     parts = list(_columns(record, chosen))
     if rule == "natural":
+        from rbfevo.geometry import sobolev  # with SciPy, which takes a while
+
         area, length = _areas(record), record.summary.get("smooth")
         stiffness = None
         if isinstance(length, int | float) and length > 0 and len(record.faces):
@@ -151,6 +152,8 @@ def _columns(record: Record, chosen: Setup) -> Iterator[tuple[Array, Array, Arra
 def _areas(record: Record) -> Array:
     """[n] the surface about each vertex, or the run's weights where there are no faces or a vertex has none."""
     if len(record.faces) and record.vertices.shape[1] == 3:
+        from rbfevo.geometry import sobolev
+
         areas = sobolev.mass(record.vertices, record.faces)
         if (areas > 0).all():
             return areas

@@ -190,6 +190,10 @@ class Setup:
         """What the rows of U at points [q, d] are multiplied by: [q, 1], 0 at held points; ones where none is held."""
         return np.ones((len(points), 1)) if self.hold is None else self.hold(points)[:, None]
 
+    def moved(self, centers: Array) -> Array:
+        """How far the centers really move [m, k] under parameters [m, k] of direct manipulation: less near held points."""
+        return centers if self.hold is None or self.kernel is None else self.blend(self.centers) * centers
+
     def displacement(self, points: Array, weights: Array, block: int = BLOCK) -> Array:
         """Displacements [q, k] of points [q, d] under weights [m, k], a block of points at a time.
 

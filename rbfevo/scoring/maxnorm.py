@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from rbfevo.arrays import Array
 
@@ -82,7 +81,7 @@ def best_displacement(blocks: Sequence[Block], a: Array, weights: Array, p: floa
     if not linear.any():
         return Gain(np.zeros(a.shape), coordinates(np.zeros_like(linear)), 0.0)
     H = _curvature(blocks, np.repeat(np.eye(a.shape[1])[None], len(u), axis=0) * u[:, None, None])
-    z = cho_solve(cho_factor(H + DAMPING * H.diagonal().max(initial=1e-300) * np.eye(len(H))), linear)
+    z = _solved(H, linear)
     if float(linear @ z) <= NOTHING * float((a**2 / u[:, None]).sum()):
         z = np.zeros_like(z)
     else:
@@ -128,8 +127,7 @@ def _newton(
         directions = np.divide(d, lengths[:, None], out=np.zeros_like(d), where=lengths[:, None] > 0)
         local = np.eye(d.shape[1]) + (p - 2.0) * directions[:, :, None] * directions[:, None, :]
         H = _curvature(blocks, weight[:, None, None] * local)
-        H[np.diag_indices(len(H))] += DAMPING * H.diagonal().max()
-        step = -cho_solve(cho_factor(H), slope)
+        step = -_solved(H, slope)
         decrement = -float(slope @ step)
         if decrement <= DECREMENT:
             break
@@ -143,6 +141,14 @@ def _newton(
             break  # rounding
         z, d, value = z + share * step, d + share * move, trial
     return z
+
+
+def _solved(H: Array, right: Array) -> Array:
+    """H^-1 right of a positive semidefinite H, damped a little."""
+    from scipy.linalg import cho_factor, cho_solve  # which takes a while, and most commands need none
+
+    damped = H + DAMPING * H.diagonal().max(initial=1e-300) * np.eye(len(H))
+    return cho_solve(cho_factor(damped), right)
 
 
 def _objective(d: Array, u: Array, p: float) -> float:
