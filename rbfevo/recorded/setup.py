@@ -191,7 +191,7 @@ class Setup:
         return np.ones((len(points), 1)) if self.hold is None else self.hold(points)[:, None]
 
     def moved(self, centers: Array) -> Array:
-        """How far the centers really move [m, k] under parameters [m, k] of direct manipulation: less near held points."""
+        """How far the centers move [m, k] under parameters [m, k] of direct manipulation: less near held points."""
         return centers if self.hold is None or self.kernel is None else self.blend(self.centers) * centers
 
     def displacement(self, points: Array, weights: Array, block: int = BLOCK) -> Array:
