@@ -228,6 +228,8 @@ def test_patches_are_held_whether_they_belong_to_the_template_or_not(tmp_path: P
     np.testing.assert_allclose(apart.blend.numpy(), smooth_step(apart.vertices.numpy()[:, 0] - 1, 1.5))
     with pytest.raises(UserError, match=r"scenario\.hold=walls: there is no such patch.*bend, inlet, outlet"):
         mesh(**common, patches=["bend"], hold=["walls"])
+    with pytest.raises(UserError, match=r"no such array.*; its patches are bend, inlet, outlet"):
+        mesh(**common, patches=["bend"], hold="walls")
     with pytest.raises(UserError, match=r"every vertex is farther than scenario\.hold_width=0\.5 from it"):
         mesh(**common, patches=["outlet"], hold=["inlet"], hold_width=0.5)
 

@@ -18,6 +18,7 @@ from rbfevo.geometry.holding import Hold
 from rbfevo.geometry.lengths import length
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.parameterization import BoxRegion, Region, VertexRegion
+from rbfevo.meshes.surface import shown
 from rbfevo.scenarios.planar import Planar
 from rbfevo.scenarios.templates import Template
 from rbfevo.scenarios.vertex_arrays import vertex_array
@@ -51,7 +52,11 @@ def marked(key: str, value: Any, template: Template, planar: Planar | None = Non
         points = template.patch_points(f"scenario.{key}", names)
         mask = _among(template.vertices, points)
     elif isinstance(value, str):
-        marks = vertex_array(value, template, key, kind="marks").values
+        try:
+            marks = vertex_array(value, template, key, kind="marks").values
+        except UserError as error:
+            named = f"; its patches are {shown(template.patches)}" if template.patches else ""
+            raise UserError(f"{error}{named}") from None
         mask = np.asarray((marks.reshape(len(marks), -1) != 0.0).any(axis=1), bool)
     else:
         box = low, high = _box(key, value)
