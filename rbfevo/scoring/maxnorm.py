@@ -31,6 +31,7 @@ TOLERANCE = 1e-13  # of the squared Newton decrement before the last pass: it fa
 DONE = 1e-25  # of the same: rounding
 PASSES = 60  # at most
 NEAR = 12  # from a start that was given, before all begins anew
+FAINT = 1e-5  # of the largest weight of a vertex in the curvature: what smaller ones count as, lest steps be too long
 DAMPING = (1e-13, 1e-10, 1e-7, 1e-4)  # of the scaled curvature: the first with which it can be factorized
 LEAST = 1e-30  # of the largest curvature: what smaller ones count as
 NOTHING = 1e-24  # of |a|^2: a gain below is rounding
@@ -145,8 +146,9 @@ def _pass(space: _Span, z: Array, linear: Array, u: Array, p: float) -> tuple[Ar
     gain = float(linear @ z)
     slope = linear / gain - space.pulled(weight[:, None] * d)  # of log(a.d / |d|_p)
     directions = np.divide(d, lengths[:, None], out=np.zeros_like(d), where=lengths[:, None] > 0)
+    felt = np.maximum(weight, FAINT * float((weight / u).max()) * u)
     local = np.eye(d.shape[1]) + (p - 2.0) * directions[:, :, None] * directions[:, None, :]
-    step = _solve(space.curvature(weight[:, None, None] * local), slope)
+    step = _solve(space.curvature(felt[:, None, None] * local), slope)
     decrement = float(slope @ step)
     if not decrement > DONE:
         return z, 0.0

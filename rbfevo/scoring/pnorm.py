@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rbfevo.scoring.maxnorm import DAMPING, DONE, LEAST, NEAR, NOTHING, PASSES, flattest, stages
+from rbfevo.scoring.maxnorm import DAMPING, DONE, FAINT, LEAST, NEAR, NOTHING, PASSES, flattest, stages
 
 ROWS = 2048  # of a step of the curvature: in cache
 
@@ -123,7 +123,8 @@ class _Climb:
         squares, gain = d.square().sum(1), float(self.linear @ z)
         weight = self.u * squares ** (0.5 * p - 1.0)
         slope = self.linear / gain - self.pulled(weight[:, None] * d)  # of log(a.d / |d|_p)
-        step = _solve(self._curvature(d, squares, weight, p), slope)
+        least = FAINT * float((weight / self.u).max())
+        step = _solve(self._curvature(d, squares, weight.maximum(least * self.u), p), slope)
         decrement = float(slope @ step)
         if not decrement > DONE:
             return z, d, 0.0
