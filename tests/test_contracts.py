@@ -27,6 +27,7 @@ from rbfevo.scoring.representations import Pull, Representation, representation_
 
 GROUPS = ("scenario", "kernel", "representation", "method")
 OPTIONS = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
+BEFORE = "7673209e82a192b516b5cdac"  # of `settings("nsga2")`, by a version of before `criterion.norm`
 METHODS = {  # small budgets
     "cmaes": {"parents": 4, "population": 8, "generations": 3},
     "gradient": {"starts": 16, "population": 16, "generations": 6, "polish": 2, "front": 6, "coarse": 100},
@@ -87,8 +88,16 @@ def test_configurations_and_checkpoints_of_older_runs_are_still_those_of_the_sam
     assert target_of("rbfevo.kernels.wendland") is target_of(new.kernel["_target_"])
     assert identity(old) == identity(new)
     assert identity(dataclasses.replace(new, device="cuda", figures=True, checkpoint_every=7.0)) == identity(new)
+    assert identity(new) == BEFORE  # written by a version that knew no criterion
     other = {"_target_": "somewhere.else"}
-    for change in ({"seed": 4}, {"evaluator": "fused"}, {"representation": other}, {"kernel": other}):
+    changes = (
+        {"seed": 4},
+        {"evaluator": "fused"},
+        {"representation": other},
+        {"kernel": other},
+        {"criterion_norm": 16.0},
+    )
+    for change in changes:
         assert identity(dataclasses.replace(new, **change)) != identity(new)
 
 

@@ -38,12 +38,12 @@ def picture(record: Record) -> Figure:
         axes = figure.add_axes((0.095, 0.125, 0.62, 0.735))
         searched = record.scored & ~np.isin(record.method, HEURISTICS)
         scale = scale_of(record.regularity[record.scored], record.regularity[searched])
-        prepare(axes, scale, record.improvement_potential[record.scored])
+        prepare(axes, scale, record.potential[record.scored], record.potential_name)
         front = record.front
-        staircase(axes, scale, record.regularity[front], record.improvement_potential[front])
+        staircase(axes, scale, record.regularity[front], record.potential[front])
         shown = [(series(record, *kind), rows) for kind, rows in kinds(record).items()]
         for look, rows in sorted(shown, key=lambda kind: kind[0].order):
-            mark(axes, scale, look, record.regularity[rows], record.improvement_potential[rows])
+            mark(axes, scale, look, record.regularity[rows], record.potential[rows])
         _mark_knee(axes, scale, record)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.015), handletextpad=0.4, labelspacing=0.75)
@@ -77,9 +77,9 @@ def scale_of(regularity: Array, found: Array) -> Scale:
     return Scale(True, at(-0.13), at(1.04), edge=at(-0.04), zero=at(-0.085))
 
 
-def prepare(axes: Axes, scale: Scale, potential: Array) -> None:
+def prepare(axes: Axes, scale: Scale, potential: Array, name: str = "improvement potential") -> None:
     """Name and tick the axes, and show all of `potential` [p]; the margin for regularity 0 has a tick of its own."""
-    axes.set_ylabel("improvement potential")
+    axes.set_ylabel(name)
     axes.set_xlabel("regularity (logarithmic)" if scale.logarithmic else "regularity")
     axes.spines[["top", "right"]].set_visible(False)
     if scale.logarithmic:
@@ -132,7 +132,7 @@ def _mark_knee(axes: Axes, scale: Scale, record: Record) -> None:
     index = knee(record)
     if index is None:
         return
-    x, y = float(scale.place(record.regularity[index])), float(record.improvement_potential[index])
+    x, y = float(scale.place(record.regularity[index])), float(record.potential[index])
     axes.scatter(
         x,
         y,

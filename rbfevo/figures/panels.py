@@ -62,11 +62,11 @@ def choose(record: Record) -> dict[int, str]:
         raise UserError("no setup has finite centers and scores")
     if usable.size == 1:
         return {int(usable[0]): "the only setup"}
-    R, P = record.regularity, record.improvement_potential
+    R, P = record.regularity, record.potential
     found = [
         (best(usable, R, P), "best regularity"),
         (knee(record), "knee"),
-        (best(usable, P, R), "best improvement potential"),
+        (best(usable, P, R), f"best {record.potential_name}"),
     ]
     titles: dict[int, str] = {}
     for index, title in found:
@@ -117,13 +117,13 @@ def compose(record: Record, choices: list[Choice], rows: list[Row], width: float
 
 
 def _head(axes: Axes, record: Record, choice: Choice) -> None:
-    R, P = record.regularity[choice.index], record.improvement_potential[choice.index]
+    R, P = record.regularity[choice.index], record.potential[choice.index]
     source, preference = str(record.method[choice.index]), record.preference[choice.index]
     if np.isfinite(preference):
         source += f", preference {preference:g}"
     for text, height, look in (
         (choice.title, 32, {"weight": "bold", "fontsize": 10}),
-        (f"R = {R:.4g}   P = {P:.4g}", 19, {}),
+        (f"R = {R:.4g}   {record.potential_symbol} = {P:.4g}", 19, {}),
         (source, 6, {"color": style.GREY, "fontsize": 8.5}),
     ):
         axes.annotate(

@@ -116,7 +116,7 @@ class State:
 
     def preferences(self, row: int) -> tuple[float, float] | None:
         """The preferences, from and to, for which no usable setup beats `row`; None if there are none."""
-        usable, (R, P) = self.record.usable, (self.record.regularity, self.record.improvement_potential)
+        usable, (R, P) = self.record.usable, (self.record.regularity, self.record.potential)
         more_R, more_P = R[row] - R[usable], P[row] - P[usable]
         slope = more_R - more_P  # preference * slope + more_P >= 0 must hold for every setup
         if (more_P[slope == 0] < 0).any():
@@ -137,7 +137,7 @@ class State:
         first = ", ".join([*names, f"row {row}"])
         return [
             f"{first} ({source})",
-            f"R = {record.regularity[row]:.4g}   P = {record.improvement_potential[row]:.4f}",
+            f"R = {record.regularity[row]:.4g}   {record.potential_symbol} = {record.potential[row]:.4f}",
         ]
 
     def slider_title(self) -> str:
@@ -145,7 +145,7 @@ class State:
         fits = self.preferences(self.row)
         if fits is None:
             return f"preference (row {self.row} is the best setup for none)"
-        return "preference: 0 improvement potential, 1 regularity"
+        return f"preference: 0 {self.record.potential_name}, 1 regularity"
 
     def _choose(self, name: str) -> None:
         if name in self.names:

@@ -60,7 +60,8 @@ class Problem:
         preferences: those asked for, or None.
         initial: the run's initial population, method `random`; empty if no method asked for one.
         scenario, representation: for heuristics.
-        spectrum: setups [p, *setup] -> singular values and P with gradients, for searches that climb.
+        spectrum: setups [p, *setup], and perhaps what a spectrum of similar ones had as `near` -> singular values and P
+            with gradients, for searches that climb.
         coarsened: count -> the same problem on at most so many weighted vertices.
     """
 
@@ -72,7 +73,7 @@ class Problem:
     initial: Rows
     scenario: Scenario
     representation: Representation
-    spectrum: Callable[[Tensor], Spectrum]
+    spectrum: Callable[..., Spectrum]
     coarsened: Callable[[int], Problem]
 
     @property

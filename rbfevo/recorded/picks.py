@@ -17,7 +17,8 @@ def pick(record: Record, choice: str) -> int:
 
     Args:
         record: the run.
-        choice: `knee`; `best-regularity` or `best-improvement-potential`, ties broken by the other score;
+        choice: `knee`; `best-regularity` or `best-improvement-potential`, ties broken by the other score; where bounded
+            potential was searched it stands for improvement potential in all of these;
             `index:12`, that row; `preference:0.3`, the row maximizing 0.3 R + 0.7 P (paper, eq. 9), the lowest of
             equals.
 
@@ -26,7 +27,7 @@ def pick(record: Record, choice: str) -> int:
     """
     kind, colon, value = choice.strip().partition(":")
     usable = record.usable
-    R, P = record.regularity, record.improvement_potential
+    R, P = record.regularity, record.potential
     if usable.size == 0:
         raise UserError("no setup has finite centers and scores")
     if kind == "index" and colon:

@@ -37,6 +37,7 @@ class Record:
         blend: [n] what rows of U are multiplied by, 0 where a vertex is held, and the held points [h, d]; None without.
         genotype: [p, D] setups of another representation than RBFs, whose `centers` are where control points sit.
         gradient_raw: [n, k] the gradient before smoothing, in the scale of `gradient`; None without smoothing.
+        bounded_potential: [p] P_p where `criterion.norm` is not 2; then it is what was searched; else None.
     """
 
     centers: Array
@@ -58,11 +59,33 @@ class Record:
     blend: Array | None = None
     held: Array | None = None
     gradient_raw: Array | None = None
+    bounded_potential: Array | None = None
+
+    @property
+    def potential(self) -> Array:
+        """[p] the potential that was searched with regularity: bounded potential where there is one, else P."""
+        return self.improvement_potential if self.bounded_potential is None else self.bounded_potential
+
+    @property
+    def potential_name(self) -> str:
+        """What pictures call it."""
+        if self.bounded_potential is None:
+            return "improvement potential"
+        p = self.summary.get("criterion_norm")
+        return f"bounded potential (p = {p:g})" if isinstance(p, int | float) else "bounded potential"
+
+    @property
+    def potential_symbol(self) -> str:
+        """P, or P_16."""
+        p = self.summary.get("criterion_norm")
+        if self.bounded_potential is None:
+            return "P"
+        return f"P_{p:g}" if isinstance(p, int | float) else "P_p"
 
     @property
     def scored(self) -> Array:
         """[p] True where both scores are finite."""
-        return np.isfinite(self.regularity) & np.isfinite(self.improvement_potential)
+        return np.isfinite(self.regularity) & np.isfinite(self.potential)
 
     @property
     def usable(self) -> Array:
@@ -76,7 +99,7 @@ class Record:
     def front(self) -> Array:
         """Indices of the nondominated setups, by rising regularity, the better one first where it ties."""
         members = np.flatnonzero(self.nondominated & self.scored)
-        return members[np.lexsort((-self.improvement_potential[members], self.regularity[members]))]
+        return members[np.lexsort((-self.potential[members], self.regularity[members]))]
 
     @property
     def gradient_norm(self) -> float | None:
@@ -109,7 +132,7 @@ def read(run: Path) -> Record:
     """
     if not run.is_dir():
         raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
-    setups = _arrays(run / "setups.npz", SETUPS, ("variability", "genotype"))
+    setups = _arrays(run / "setups.npz", SETUPS, ("variability", "genotype", "bounded_potential"))
     scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays", "blend", "held", "gradient_raw"))
     stays = scenario.pop("stays", None)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
@@ -182,7 +205,7 @@ def knee(record: Record) -> int | None:
     rows = np.flatnonzero(record.nondominated & record.scored)
     if rows.size == 0:
         return None
-    scores = np.stack([record.regularity[rows], record.improvement_potential[rows]], axis=1)
+    scores = np.stack([record.regularity[rows], record.potential[rows]], axis=1)
     return int(rows[knee_of(scores)])
 
 

@@ -14,6 +14,8 @@ from rbfevo.runs.config import Settings, build
 from rbfevo.runs.identity import stages_of
 from rbfevo.scenarios.coarse import coarsened, matched
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.bounded_evaluator import BoundedEvaluator
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.evolvability import Scores
 from rbfevo.scoring.kernels import Kernel
@@ -84,8 +86,18 @@ class Parts:
                 raise UserError(f"{key}={count}: give at least twice centers={self.settings.centers}")
 
     def _evaluator(self, scenario: Scenario) -> Evaluator:
-        """Of this run's kernel and manipulation, on a scenario's vertices; all that a GPU does, it does in there."""
-        return evaluator_of(scenario.to(self.device), self.representation, self.settings.manipulation, self._backend)
+        """Of this run's kernel, manipulation and criterion, on a scenario's vertices; a GPU does no more than that."""
+        plain = evaluator_of(scenario.to(self.device), self.representation, self.settings.manipulation, self._backend)
+        return plain if self.norm == 2.0 else BoundedEvaluator(plain, self._bounded(scenario))
+
+    def _bounded(self, scenario: Scenario) -> BoundedPotential:
+        design = (scenario.vertices, scenario.gradient, self.representation, self.norm)
+        return BoundedPotential(*design, scenario.weights, scenario.blend, scenario.mirror)
+
+    @property
+    def norm(self) -> float:
+        """`criterion.norm`."""
+        return self.settings.criterion_norm
 
     def initial(self) -> Rows:
         """Draw the largest initial population that a method asks for, and score it on all vertices."""
@@ -119,6 +131,9 @@ class Parts:
             fewer = coarsened(scenario, count)
             if fewer is scenario:
                 return problem
+            if self.norm != 2.0:  # which does not depend on the size of g
+                self.coarse_evaluators.append(coarse := self._evaluator(fewer))
+                return self._problem(fewer, coarse, initial)
             trial = self._evaluator(fewer)
             known = initial if len(initial.centers) else self._for_matching
             potential = trial(known.centers).improvement_potential
@@ -150,11 +165,22 @@ class Parts:
     def rescore(self, centers: torch.Tensor) -> Scores:
         """Scores on all vertices, by the definition where U is not too large for that."""
         evaluator = self.full_evaluator
+        if isinstance(evaluator, BoundedEvaluator):
+            evaluator = evaluator.plain
         if self.defined:
             return evaluator.definition(centers)
         return evaluator_of(
             self.scenario.to(self.device), self.representation, self.settings.manipulation, evaluator.backend
         )(centers)  # one of its own: these are no evaluations of the search
+
+    def searched_scores(self, rows: Rows) -> Scores:
+        """The scores of rows that `rescore` has scored, as they are searched: with bounded potential in place of P."""
+        if self.norm == 2.0:
+            return rows.scores
+        bounded = self._bounded(self.scenario)
+        found = bounded.definition(rows.centers) if self.defined else bounded.values(rows.centers)
+        lost = rows.scores.failed | ~torch.isfinite(found)
+        return rows.scores._replace(improvement_potential=torch.where(lost, 0.0, found))
 
 
 def unused_preferences(settings: Settings) -> list[str]:

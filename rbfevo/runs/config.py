@@ -34,6 +34,7 @@ class RunConfig:
     method: Any
     representation: Any = None
     experiment: Any = None
+    criterion: Any = None
     seed: int = 0
     centers: int = 25
     preference: Any = None
@@ -65,6 +66,7 @@ class Settings:
     figures: bool
     quiet: bool
     checkpoint_every: float | None
+    criterion_norm: float = 2.0
 
 
 def check(config: DictConfig) -> Settings:
@@ -88,6 +90,7 @@ def check(config: DictConfig) -> Settings:
         figures=top.figures,
         quiet=top.quiet,
         checkpoint_every=checkpoint_every(top.checkpoint),
+        criterion_norm=criterion_norm(top.criterion),
     )
 
 
@@ -113,6 +116,7 @@ def check_top(config: DictConfig) -> RunConfig:
         raise UserError(f"manipulation={top.manipulation}: choose one of {', '.join(MANIPULATIONS)}")
     preferences(top.preference)
     checkpoint_every(top.checkpoint)
+    criterion_norm(top.criterion)
     return top
 
 
@@ -131,6 +135,25 @@ def checkpoint_every(node: Any) -> float | None:
     if every is not None and not (number and 0 <= every < math.inf):
         raise UserError(f"checkpoint.every={every}: give null, or a number of seconds of at least 0")
     return None if every is None else float(every)
+
+
+def criterion_norm(node: Any) -> float:
+    """p of the potential that is searched, from the keys below `criterion`; 2 is the paper's.
+
+    Raises:
+        UserError: for another key, or another value than a number of at least 2.
+    """
+    if node is not None and not isinstance(node, dict):
+        raise UserError(f"criterion={node}: write criterion.norm={node}")
+    keys = {} if node is None else node
+    unknown = [key for key in keys if key != "norm"]
+    if unknown:
+        raise UserError(f"criterion.{unknown[0]}: there is no such key; the only one is criterion.norm")
+    p = keys.get("norm", 2)
+    number = isinstance(p, int | float) and not isinstance(p, bool)
+    if not (number and 2 <= p < math.inf):
+        raise UserError(f"criterion.norm={p}: give a number of at least 2; 2 is the paper's potential")
+    return float(p)
 
 
 def preferences(value: Any) -> tuple[float, ...] | None:

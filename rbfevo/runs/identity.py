@@ -53,6 +53,8 @@ def identity(settings: Settings, whole: bool = False) -> str:
     plain["checkpoint"] = plain.pop("checkpoint_every")
     for free in WITHOUT_EFFECT:
         del plain[free]
+    if plain["criterion_norm"] == 2.0:  # checkpoints from before there were others
+        del plain["criterion_norm"]
     if plain["representation"] == RBF:  # checkpoints from before there were others
         del plain["representation"]
     before = {now: then for then, now in MOVED.items()}

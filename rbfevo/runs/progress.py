@@ -112,16 +112,20 @@ class Reporter:
             self._bar.stop()
             self._bar = None
 
-    def closing_table(self, table: dict[str, np.ndarray], directory: Path, idle: np.ndarray | None = None) -> None:
-        """Best regularity, best improvement potential and hypervolume by method, the knee, and where the files are.
+    def closing_table(
+        self, table: dict[str, np.ndarray], directory: Path, idle: np.ndarray | None = None, norm: float = 2.0
+    ) -> None:
+        """Best regularity, best potential as searched and hypervolume by method, the knee, and where the files are.
 
         Args:
             table: the arrays of setups.npz; idle: [p, m] which centers have no free vertex in reach: those of the
-                knee and of the best setups are named.
+                knee and of the best setups are named. norm: p of the potential that was searched.
         """
-        objectives = np.stack((table["regularity"], table["improvement_potential"]), axis=1)
+        potential = table.get("bounded_potential", table["improvement_potential"])
+        P = "P" if norm == 2.0 else f"P_{norm:g}"
+        objectives = np.stack((table["regularity"], potential), axis=1)
         names = list(dict.fromkeys(table["method"].tolist()))
-        shown = Table("method", "setups", "best R", "best P", "hypervolume")
+        shown = Table("method", "setups", "best R", f"best {P}", "hypervolume")
         for name in names:
             rows = objectives[table["method"] == name]
             shown.add_row(name, str(len(rows)), *figures(rows))
@@ -131,9 +135,9 @@ class Reporter:
         i = knee(torch.from_numpy(objectives))
         preference = table["preference"][i]
         origin = table["method"][i] + ("" if math.isnan(preference) else f", preference {preference:g}")
-        self.line(f"knee: R = {objectives[i, 0]:.4g}, P = {objectives[i, 1]:.4f} (row {i}, {origin})")
+        self.line(f"knee: R = {objectives[i, 0]:.4g}, {P} = {objectives[i, 1]:.4f} (row {i}, {origin})")
         if idle is not None:
-            picks = {"knee": i, "best R": int(objectives[:, 0].argmax()), "best P": int(objectives[:, 1].argmax())}
+            picks = {"knee": i, "best R": int(objectives[:, 0].argmax()), f"best {P}": int(objectives[:, 1].argmax())}
             for name, row in picks.items():
                 if idle[row].any():
                     numbers = ", ".join(map(str, np.flatnonzero(idle[row])))

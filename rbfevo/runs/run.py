@@ -195,15 +195,17 @@ class Run(Parts):
             reporter.line("stopped before any result; nothing was written")
             return
         rescored = [rows._replace(scores=self.rescore(rows.centers)) for rows in self.rows]
+        judged = [rows._replace(scores=self.searched_scores(rows)) for rows in rescored]
         if self.searched is not self.scenario:
-            self.differences = differences(self.rows[self._drawn :], rescored[self._drawn :])
+            self.differences = differences(self.rows[self._drawn :], judged[self._drawn :])
         idle = None
         if isinstance(self.representation, RBF) and self.kernel.support is not None:
             found = torch.cat([row.centers for row in self.rows])
             self.warnings += reach.out_of_reach(self.scenario, self.kernel.support, found)
             idle = reach.idle_centers(self.scenario, self.kernel.support, found.nan_to_num()).numpy()
-        table = storage.setup_table(rescored, self.representation, self.scenario.vertices.shape[1])
-        objectives = torch.cat([rows.scores.objectives for rows in rescored])
+        searched = None if self.norm == 2.0 else [rows.scores for rows in judged]
+        table = storage.setup_table(rescored, self.representation, self.scenario.vertices.shape[1], searched)
+        objectives = torch.cat([rows.scores.objectives for rows in judged])
         storage.write_scenario(directory, self.scenario)
         storage.write_setups(directory, table)
         journal.publish()
@@ -211,7 +213,7 @@ class Run(Parts):
         drawn = figures.draw(directory) if self.settings.figures else []
         for warning in [*self.warnings[self.printed :], *drawn]:
             reporter.line(f"warning: {warning}")
-        reporter.closing_table(table, directory, idle)
+        reporter.closing_table(table, directory, idle, self.norm)
 
 
 def carry_out(settings: Settings, directory: Path, arguments: Sequence[str] = (), resume: bool = False) -> int:

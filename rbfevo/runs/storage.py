@@ -14,6 +14,7 @@ from rbfevo.files import csv_text, npz, write_whole
 from rbfevo.methods.method import Rows
 from rbfevo.runs.directory import RESULTS, refuse_results
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.evolvability import Scores
 from rbfevo.scoring.pareto import nondominated
 from rbfevo.scoring.representations import RBF, Representation
 
@@ -30,8 +31,15 @@ __all__ = [
 ]
 
 
-def setup_table(rows: Sequence[Rows], representation: Representation, dimension: int = 2) -> dict[str, np.ndarray]:
+def setup_table(
+    rows: Sequence[Rows],
+    representation: Representation,
+    dimension: int = 2,
+    searched: Sequence[Scores] | None = None,
+) -> dict[str, np.ndarray]:
     """The arrays of `setups.npz`: all rows of all methods, `nondominated` among all of them.
+
+    Where another potential than P was searched, `searched` are the rows' scores with that one, `bounded_potential`.
 
     Of another representation than RBFs, `genotype` [p, D] are the setups, and `centers` [p, h, dimension] where their
     control points sit.
@@ -41,7 +49,8 @@ def setup_table(rows: Sequence[Rows], representation: Representation, dimension:
     def joined(parts: Iterable[torch.Tensor]) -> np.ndarray:
         return torch.cat(list(parts)).cpu().to(torch.float64).numpy()
 
-    objectives = torch.cat([series.scores.objectives for series in rows])
+    judged = [series.scores for series in rows] if searched is None else searched
+    objectives = torch.cat([scores.objectives for scores in judged])
     failed = torch.cat([series.scores.failed for series in rows])
     setups = torch.cat([series.centers for series in rows]).cpu()
     handles = representation.handles(setups)
@@ -52,6 +61,7 @@ def setup_table(rows: Sequence[Rows], representation: Representation, dimension:
         **{name: array.to(torch.float64).numpy() for name, array in places.items()},
         "regularity": joined(series.scores.regularity for series in rows),
         "improvement_potential": joined(series.scores.improvement_potential for series in rows),
+        **({} if searched is None else {"bounded_potential": joined(s.improvement_potential for s in searched)}),
         "variability": joined(series.scores.variability for series in rows),
         "method": method,
         "preference": joined(series.preference for series in rows),

@@ -41,6 +41,8 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
         "scored_by": "definition" if run.defined else "evaluator",
         "seconds": run.seconds,
         "evaluations_per_second": evaluations / run.seconds if run.seconds > 0 else 0.0,
+        "objectives": ["regularity", "improvement_potential" if run.norm == 2.0 else "bounded_potential"],
+        "criterion_norm": run.norm,
         "hypervolume": volume,
         "stop_reason": run.stop_reason,
         "evaluator": run.evaluator.backend,

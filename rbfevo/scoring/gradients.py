@@ -29,7 +29,10 @@ class Spectrum:
         sigma: [p, m], falling; ones where a setup has no regularity (rank below m, singular Psi, not finite).
         regular: [p] whether it has one; potential: [p] P, maximized, 0 where a setup is not finite.
         improvable: [p] whether P has a gradient (the setup is finite and not numerically rank-deficient).
+        near: what a spectrum of similar setups can start from, or None.
     """
+
+    near: Tensor | None = None
 
     @torch.no_grad()
     @coarse()

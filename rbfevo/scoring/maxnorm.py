@@ -7,10 +7,17 @@ which the objective is linear. Within the columns of U the displacement d that g
 
 is the one for a bounded root mean square where p = 2 (what improvement potential measures), and nearly the one for a
 bounded maximum where p = 16. NumPy, float64; one setup.
+
+The ratio a.d / |d|_p does not depend on the size of d, is quasi-concave where it is positive, and its maximum in the
+span of some columns is unique. Newton's directions of |d|_p^p / p - a.d, each followed to the maximum of the ratio
+along it, get there in some seven passes from the optimum for p = 2; without that search along them the size of d alone
+takes more. A larger p than 4 is approached by one pass each for 4, 8, ...
 """
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -18,12 +25,19 @@ import numpy as np
 
 from rbfevo.arrays import Array
 
-GROWTH = 1.5  # of p - 1, from one stage to the next: Newton's method then starts where it converges
-DECREMENT = 1e-20  # of the squared Newton decrement, twice the error of the objective
-STEPS = 60  # of Newton's method in one stage, at most
-DAMPING = 1e-14  # of the largest curvature, so that directions that move nothing stay out of the way
-ARMIJO, HALVINGS = 1e-4, 40
+FIRST = 4.0  # the first p on the way to a larger one; each is twice the one before
+TOLERANCE = 1e-13  # of the squared Newton decrement before the last pass: it falls to about its square by that pass
+DONE = 1e-25  # of the same: rounding
+PASSES = 60  # at most
+NEAR = 12  # from a start that was given, before all begins anew
+FAINT = 1e-5  # of the largest weight of a vertex in the curvature: what smaller ones count as, lest steps be too long
+DAMPING = (1e-13, 1e-10, 1e-7, 1e-4)  # of the scaled curvature: the first with which it can be factorized
+LEAST = 1e-30  # of the largest curvature: what smaller ones count as
 NOTHING = 1e-24  # of |a|^2: a gain below is rounding
+FLAT = 0.05  # of the slope at the start of a line: where the search along it ends
+SOFT = 0.1  # of the logarithm of the ratio: a slope that could change it by much less at t is flat, too
+ROUNDING = 1e-13  # of the logarithm of the ratio
+TRIALS = 60  # of a search along a line
 
 
 class Block(NamedTuple):
@@ -34,69 +48,79 @@ class Block(NamedTuple):
 
 
 class Gain(NamedTuple):
-    """The best displacement d [n, k] with |d|_p = 1, its coordinates [r, c] in each block's basis, and its gain a.d."""
+    """The best displacement d [n, k] with |d|_p = 1, its coordinates [r, c] in each block's basis, and its gain a.d.
+
+    `passes` counts the assemblies of the curvature.
+    """
 
     displacement: Array
     coordinates: list[Array]
     gain: float
+    passes: int = 0
 
 
-def best_displacement(blocks: Sequence[Block], a: Array, weights: Array, p: float = 16.0) -> Gain:
+def best_displacement(
+    blocks: Sequence[Block], a: Array, weights: Array, p: float = 16.0, start: Array | None = None
+) -> Gain:
     """The displacement in the span of some blocks that maximizes a.d for |d|_p = 1.
-
-    The optimum is unique where the bases have full rank: it minimizes the convex |d|_p^p / p - a.d, but for its size.
-    Newton's method with a line search solves this for a p that grows from 2, where it is linear.
 
     Args:
         blocks: components and bases; every component 0 .. k - 1 stands in one of them.
         a: [n, k] what a displacement of each vertex gains; weights: [n] positive, u up to a factor; p: at least 2.
+        start: [n, k] a displacement near the best one, such as that of a similar setup; taken where it gains more than
+            the best one for p = 2.
 
     Returns:
         A gain of 0 and no displacement where nothing in the span gains anything.
     """
-    u = weights / weights.sum()
-    slices, start = [], 0
-    for block in blocks:
-        size = block.basis.shape[1] * len(block.components)
-        slices.append(slice(start, start + size))
-        start += size
-
-    def coordinates(z: Array) -> list[Array]:
-        """The coordinates [r, c] in each block's basis."""
-        shapes = [(block.basis.shape[1], len(block.components)) for block in blocks]
-        return [z[part].reshape(shape) for part, shape in zip(slices, shapes, strict=True)]
-
-    def displaced(z: Array) -> Array:
-        """The displacement [n, k]."""
-        d = np.zeros(a.shape)
-        for block, part in zip(blocks, coordinates(z), strict=True):
-            d[:, block.components] = block.basis @ part
-        return d
-
-    def pulled(field: Array) -> Array:
-        """What each coordinate gains by a field [n, k]."""
-        return np.concatenate([(block.basis.T @ field[:, block.components]).ravel() for block in blocks])
-
-    linear = pulled(a)
+    u, size = weights / weights.sum(), float(np.abs(a).max(initial=0.0)) or 1.0
+    a = a / size
+    space = _Span(blocks, a.shape)
+    linear = space.pulled(a)
     if not linear.any():
-        return Gain(np.zeros(a.shape), coordinates(np.zeros_like(linear)), 0.0)
-    H = _curvature(blocks, np.repeat(np.eye(a.shape[1])[None], len(u), axis=0) * u[:, None, None])
-    z = _solved(H, linear)
+        return Gain(np.zeros(a.shape), space.coordinates(np.zeros_like(linear)), 0.0)
+    z = _solve(space.curvature(np.repeat(np.eye(a.shape[1])[None], len(u), axis=0) * u[:, None, None]), linear)
     if float(linear @ z) <= NOTHING * float((a**2 / u[:, None]).sum()):
-        z = np.zeros_like(z)
+        return Gain(np.zeros(a.shape), space.coordinates(np.zeros_like(linear)), 0.0)
+    passes, near = 1, None if start is None else space.pulled(start)
+    if near is not None and _ratio(space, near, linear, u, p) > _ratio(space, z, linear, u, p):
+        found, count, converged = _climbed(space, near, linear, u, p, [p] * NEAR)
+        passes += count
+        near = found if converged else None
     else:
-        for q in _stages(p):
-            z = _newton(blocks, z / norm(displaced(z), u, q), linear, u, q, displaced, pulled)
-        z = z / norm(displaced(z), u, p)
-    return Gain(displaced(z), coordinates(z), float(linear @ z))
+        near = None
+    if near is None:
+        near, count, _ = _climbed(space, z, linear, u, p, [*stages(p), *[p] * PASSES])
+        passes += count
+    z = near
+    z = z / norm(space.displaced(z), u, p)
+    return Gain(space.displaced(z), space.coordinates(z), size * float(linear @ z), passes)
 
 
-def _stages(p: float) -> list[float]:
-    """The values of p between 2 and the last, which is the one asked for."""
-    found = [2.0]
-    while found[-1] < p:
-        found.append(min(p, 1.0 + GROWTH * (found[-1] - 1.0)))
-    return found[1:]
+def _ratio(space: _Span, z: Array, linear: Array, u: Array, p: float) -> float:
+    """a.d / |d|_p; 0 where there is no gain."""
+    gain = float(linear @ z)
+    return gain / norm(space.displaced(z), u, p) if gain > 0.0 else 0.0
+
+
+def _climbed(
+    space: _Span, z: Array, linear: Array, u: Array, p: float, plan: Sequence[float]
+) -> tuple[Array, int, bool]:
+    """The coordinates after a pass for each p of a plan, how many there were, and whether they have converged."""
+    for count, q in enumerate(plan, 1):
+        z, decrement = _pass(space, z / norm(space.displaced(z), u, q), linear, u, q)
+        if q == p and decrement <= TOLERANCE:
+            return z, count, True
+    return z, len(plan), False
+
+
+def stages(p: float) -> list[float]:
+    """The values of p between 2 and the one asked for that are passed on the way."""
+    found, q = [], FIRST
+    while q < p:
+        found.append(q)
+        q *= 2.0
+    return found
 
 
 def norm(d: Array, weights: Array, p: float) -> float:
@@ -107,64 +131,122 @@ def norm(d: Array, weights: Array, p: float) -> float:
     return largest * float((u * (lengths / largest) ** p).sum()) ** (1.0 / p)
 
 
-def _newton(
-    blocks: Sequence[Block],
-    z: Array,
-    linear: Array,
-    u: Array,
-    p: float,
-    displaced: Callable[[Array], Array],
-    pulled: Callable[[Array], Array],
-) -> Array:
-    """Minimize |d|_p^p / p - a.d from z with |d|_p = 1; a is scaled so that the minimum has a norm near 1."""
-    scaled = linear / float(linear @ z)
-    d = displaced(z)
-    value = _objective(d, u, p) - float(scaled @ z)
-    for _ in range(STEPS):
-        lengths = np.linalg.norm(d, axis=1)
-        weight = u * lengths ** (p - 2.0)
-        slope = pulled(weight[:, None] * d) - scaled
-        directions = np.divide(d, lengths[:, None], out=np.zeros_like(d), where=lengths[:, None] > 0)
-        local = np.eye(d.shape[1]) + (p - 2.0) * directions[:, :, None] * directions[:, None, :]
-        H = _curvature(blocks, weight[:, None, None] * local)
-        step = -_solved(H, slope)
-        decrement = -float(slope @ step)
-        if decrement <= DECREMENT:
-            break
-        move, share = displaced(step), 1.0
-        for _ in range(HALVINGS):
-            trial = _objective(d + share * move, u, p) - float(scaled @ (z + share * step))
-            if trial <= value - ARMIJO * share * decrement:
-                break
-            share /= 2.0
+def dual_norm(a: Array, weights: Array, p: float) -> float:
+    """The largest a.d of all displacements d [n, k] with |d|_p = 1: (sum_i u_i |a_i / u_i|^p*)^(1/p*)."""
+    u = weights / weights.sum()
+    return norm(a / u[:, None], u, p / (p - 1.0))
+
+
+def _pass(space: _Span, z: Array, linear: Array, u: Array, p: float) -> tuple[Array, float]:
+    """One Newton direction from z with |d|_p = 1, and the best coordinates along it; the squared decrement before."""
+    d = space.displaced(z)
+    lengths = np.linalg.norm(d, axis=1)
+    weight = u * lengths ** (p - 2.0)
+    gain = float(linear @ z)
+    slope = linear / gain - space.pulled(weight[:, None] * d)  # of log(a.d / |d|_p)
+    directions = np.divide(d, lengths[:, None], out=np.zeros_like(d), where=lengths[:, None] > 0)
+    felt = np.maximum(weight, FAINT * float((weight / u).max()) * u)
+    local = np.eye(d.shape[1]) + (p - 2.0) * directions[:, :, None] * directions[:, None, :]
+    step = _solve(space.curvature(felt[:, None, None] * local), slope)
+    decrement = float(slope @ step)
+    if not decrement > DONE:
+        return z, 0.0
+    return z + _share(d, space.displaced(step), u, p, gain, float(linear @ step), decrement) * step, decrement
+
+
+def _share(d: Array, move: Array, u: Array, p: float, gain: float, rise: float, first: float) -> float:
+    """How far along `move` [n, k] the ratio a.d / |d|_p is largest; `first` is the slope of its logarithm at 0."""
+    parts = [(one * other).sum(1) for one, other in ((d, d), (d, move), (move, move))]
+
+    def along(t: float) -> tuple[float, float]:
+        if gain + t * rise <= 0.0:
+            return -math.inf, -math.inf
+        squares = np.maximum(parts[0] + t * (2.0 * parts[1] + t * parts[2]), 0.0)
+        largest = float(squares.max())
+        powers = u * (squares / largest) ** (0.5 * p - 1.0)
+        total = float(powers @ squares)
+        value = math.log(gain + t * rise) - 0.5 * math.log(largest) - math.log(total / largest) / p
+        return value, rise / (gain + t * rise) - float(powers @ (parts[1] + t * parts[2])) / total
+
+    return flattest(along, math.log(gain), first)
+
+
+def flattest(along: Callable[[float], tuple[float, float]], value: float, first: float) -> float:
+    """Where a function of t > 0 with one maximum has nearly no slope: at 1, if that will do.
+
+    Args:
+        along: value and slope at t, both -inf beyond its domain; value, first: those at 0, where the slope is positive.
+    """
+    low, below, high, above, t = 0.0, first, math.inf, -math.inf, 1.0
+    for _ in range(TRIALS):
+        found, slope = along(t)
+        if abs(slope) <= FLAT * min(first, SOFT / t) and found >= value - ROUNDING:
+            return t
+        width = high - low
+        if slope > 0 and found >= value - ROUNDING:
+            low, below, above = t, slope, 0.5 * above
         else:
-            break  # rounding
-        z, d, value = z + share * step, d + share * move, trial
-    return z
+            high, above, below = t, min(slope, 0.0), 0.5 * below
+        if high == math.inf:
+            t = 2.0 * low
+        elif above < below and not math.isinf(above) and high - low <= 0.5 * width:
+            t = (low * above - high * below) / (above - below)  # regula falsi; an end that stays counts half (Illinois)
+        else:
+            t = 0.5 * (low + high) if low > 0 else 0.125 * high
+        if not low < t < math.inf:
+            break
+    return low
 
 
-def _solved(H: Array, right: Array) -> Array:
-    """H^-1 right of a positive semidefinite H, damped a little."""
-    from scipy.linalg import cho_factor, cho_solve  # which takes a while, and most commands need none
+def _solve(H: Array, b: Array) -> Array:
+    """H^-1 b of a curvature H, scaled to a diagonal of ones and damped."""
+    from scipy.linalg import LinAlgError, cho_factor, cho_solve  # which takes a while, and most commands need none
 
-    damped = H + DAMPING * H.diagonal().max(initial=1e-300) * np.eye(len(H))
-    return cho_solve(cho_factor(damped), right)
+    diagonal = H.diagonal()
+    scale = 1.0 / np.sqrt(np.maximum(diagonal, LEAST * diagonal.max(initial=1e-300)))
+    scaled = H * scale[:, None] * scale
+    for damping in DAMPING:
+        try:
+            return scale * cho_solve(cho_factor(scaled + damping * np.eye(len(H))), scale * b)
+        except LinAlgError:
+            continue
+    return scale * (scale * b)
 
 
-def _objective(d: Array, u: Array, p: float) -> float:
-    return float((u * np.linalg.norm(d, axis=1) ** p).sum()) / p
+class _Span:
+    """The displacements [n, k] that some blocks span; coordinates of all blocks lie one behind the other."""
 
+    def __init__(self, blocks: Sequence[Block], shape: tuple[int, ...]) -> None:
+        self.blocks, self.shape = blocks, shape
+        ends = np.cumsum([0, *(block.basis.shape[1] * len(block.components) for block in blocks)])
+        self._slices = [slice(begin, end) for begin, end in itertools.pairwise(ends.tolist())]
 
-def _curvature(blocks: Sequence[Block], local: Array) -> Array:
-    """Sum_i B_i^T local_i B_i for local [n, k, k], in the order of the coordinates."""
-    rows = []
-    for one in blocks:
-        row = []
-        for other in blocks:
-            part = np.empty((one.basis.shape[1], len(one.components), other.basis.shape[1], len(other.components)))
-            for i, c in enumerate(one.components):
-                for j, e in enumerate(other.components):
-                    part[:, i, :, j] = one.basis.T @ (local[:, c, e, None] * other.basis)
-            row.append(part.reshape(one.basis.shape[1] * len(one.components), -1))
-        rows.append(np.hstack(row))
-    return np.vstack(rows)
+    def coordinates(self, z: Array) -> list[Array]:
+        """The coordinates [r, c] in each block's basis."""
+        shapes = [(block.basis.shape[1], len(block.components)) for block in self.blocks]
+        return [z[part].reshape(shape) for part, shape in zip(self._slices, shapes, strict=True)]
+
+    def displaced(self, z: Array) -> Array:
+        """The displacement [n, k]."""
+        d = np.zeros(self.shape)
+        for block, part in zip(self.blocks, self.coordinates(z), strict=True):
+            d[:, block.components] = block.basis @ part
+        return d
+
+    def pulled(self, field: Array) -> Array:
+        """What each coordinate gains by a field [n, k]."""
+        return np.concatenate([(block.basis.T @ field[:, block.components]).ravel() for block in self.blocks])
+
+    def curvature(self, local: Array) -> Array:
+        """Sum_i B_i^T local_i B_i for local [n, k, k], in the order of the coordinates."""
+        rows = []
+        for one in self.blocks:
+            row = []
+            for other in self.blocks:
+                part = np.empty((one.basis.shape[1], len(one.components), other.basis.shape[1], len(other.components)))
+                for i, c in enumerate(one.components):
+                    for j, e in enumerate(other.components):
+                        part[:, i, :, j] = one.basis.T @ (local[:, c, e, None] * other.basis)
+                row.append(part.reshape(one.basis.shape[1] * len(one.components), -1))
+            rows.append(np.hstack(row))
+        return np.vstack(rows)

@@ -33,7 +33,8 @@ def comparison(members: Sequence[Member]) -> dict[str, Any]:
 
 def _mesh(members: Sequence[Member], mesh: str) -> str:
     record = next(member.record for member in members if member.settings["mesh"] == mesh)
-    return f"{record.summary.get('scenario', 'unknown')}, {len(record.vertices):,} vertices ({mesh})"
+    searched = "" if record.bounded_potential is None else f", {record.potential_name}"
+    return f"{record.summary.get('scenario', 'unknown')}, {len(record.vertices):,} vertices{searched} ({mesh})"
 
 
 def _group(group: Group, mesh: int, label: str) -> dict[str, Any]:

@@ -85,6 +85,7 @@ class GradientSearch(Method):
         self._side = problem.space.upper - problem.space.lower
         self._step, self._sharpness, self._renew = 0, SHARPNESS, True
         self._exponents: Tensor | None = None
+        self._near: Tensor | None = None
         like = problem.initial.centers
         self._generator = problem.stream(self.name)
         if problem.preferences is None:
@@ -123,7 +124,7 @@ class GradientSearch(Method):
     def step(self) -> None:
         if self._step in self._ends:
             last = self._step == self.generations
-            self._climb = self._team.redeploy(self._climb, last)
+            self._climb, self._near = self._team.redeploy(self._climb, last), None
             self._problem = self._fine if last else self._problem
             self._sharpness *= 2.0
             self._renew = True
@@ -132,7 +133,9 @@ class GradientSearch(Method):
             self._renew = True
         points = self._climb.ask()
         placed = self._placed(points)
-        spectrum = self._problem.spectrum(self._problem.space.place(placed))
+        near = () if self._near is None else (self._near,)
+        spectrum = self._problem.spectrum(self._problem.space.place(placed), *near)
+        self._near = spectrum.near
         objectives = torch.stack((spectrum.regularity, spectrum.potential), dim=1)
         if self._renew:
             self._exponents, self._renew = exponents(objectives[:, 0], self._sharpness), False
@@ -156,12 +159,13 @@ class GradientSearch(Method):
             "climb": self._climb.state_dict(),
             "team": self._team.state_dict(),
             "generator": self._generator.get_state(),
+            **({} if self._near is None else {"near": self._near.clone()}),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue with those elements."""
         self._step, self._sharpness, self._renew = int(state["step"]), float(state["sharpness"]), bool(state["renew"])
-        self._exponents = state["exponents"]
+        self._exponents, self._near = state["exponents"], state.get("near")
         self._climb.load_state_dict(state["climb"])
         self._team.load_state_dict(state["team"], self._climb)
         self._generator.set_state(state["generator"].cpu())

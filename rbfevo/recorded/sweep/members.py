@@ -113,7 +113,7 @@ def _settings(record: Record, run: Path) -> dict[str, Any]:
             config = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
         except (OSError, ValueError, YAMLError, OmegaConfBaseException) as error:
             raise UserError(f"{path} cannot be read: damaged? ({' '.join(str(error).split())})") from None
-        leaves = dict(_leaves(config)) if isinstance(config, dict) else {}
+        leaves = {"criterion.norm": 2, **dict(_leaves(config))} if isinstance(config, dict) else {}
         settings |= {key: leaf for key, leaf in leaves.items() if key not in settings and key not in IRRELEVANT}
     return settings
 
@@ -137,7 +137,9 @@ def typed(value: Any) -> str:
 
 
 def mesh_of(record: Record) -> str:
-    """A fingerprint of vertices, faces, gradient, weights, blend: eight hexadecimal digits, the same on any machine.
+    """A fingerprint of vertices, faces, gradient, weights, blend, and of the norm of the potential where that is not 2.
+
+    Eight hexadecimal digits, the same on any machine. Runs that searched different potentials do not compare.
 
     Numbers count to seven digits of the largest of their array, since a norm's last bits depend on the threads.
     """
@@ -148,4 +150,6 @@ def mesh_of(record: Record) -> str:
         step = largest * DIGITS if 0 < largest < math.inf else 1.0
         digest.update((np.round(array / step) + 0.0).astype("<f8").tobytes())  # + 0.0: there is one zero
     digest.update(np.asarray(record.faces).astype("<i8").tobytes())
+    if record.bounded_potential is not None:
+        digest.update(record.potential_name.encode())
     return digest.hexdigest()

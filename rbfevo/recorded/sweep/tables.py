@@ -44,7 +44,8 @@ class Line(NamedTuple):
     Attributes:
         settings: those of `ALWAYS` and those that vary in the sweep, of the whole run.
         setups, nondominated: rows with finite centers and scores, those of them that no row of the run dominates.
-        hypervolume, ...: of this series' rows; NaN where there is none. evaluations, ...: of the whole run.
+        hypervolume, ...: of this series' rows, with the potential that was searched; NaN where there is none.
+        evaluations, ...: of the whole run.
     """
 
     run: str
@@ -138,7 +139,7 @@ def _lines(member: Member, keys: Iterable[str]) -> Iterator[Line]:
     usable = record.usable
     for series in (ALL, *dict.fromkeys(record.method.tolist())):
         rows = usable if series == ALL else usable[record.method[usable] == series]
-        R, P = record.regularity[rows], record.improvement_potential[rows]
+        R, P = record.regularity[rows], record.potential[rows]
         found = knee(_part(record, rows))
         yield Line(
             run=member.name,
@@ -163,7 +164,9 @@ def _part(record: Record, rows: Array) -> Record:
     """The record of some of the rows, with the front among themselves."""
     names = ("centers", "regularity", "improvement_potential", "method", "preference")
     arrays = {name: getattr(record, name)[rows] for name in names}
-    front = nondominated(arrays["regularity"], arrays["improvement_potential"])
+    if record.bounded_potential is not None:
+        arrays["bounded_potential"] = record.bounded_potential[rows]
+    front = nondominated(arrays["regularity"], record.potential[rows])
     return dataclasses.replace(record, **arrays, nondominated=front)
 
 

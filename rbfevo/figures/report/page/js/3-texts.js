@@ -31,7 +31,7 @@ function origin(setup, several) {
   return `${several ? `${setup.run.name}: ` : ""}row ${setup.row}, ${setup.method}${preference}`;
 }
 
-const scores = (setup) => `R = ${short(setup.R)}, P = ${short(setup.P)}`;
+const scores = (setup) => `R = ${short(setup.R)}, ${setup.run.symbol} = ${short(setup.P)}`;
 
 /** What R means: the ratio of the strongest to the weakest direction of the parameters. */
 function regularityText(setup) {
@@ -43,6 +43,7 @@ function regularityText(setup) {
 
 /** What P means: the share of the wanted displacement that is within reach. */
 function potentialText(setup, mesh) {
+  if (setup.run.bounded) return `To first order, the best step within reach gains ${percent(Math.sqrt(Math.max(0, setup.P)))} of what a step with all vertices free gains, both with the same bound on the displacement: for a large p, on its largest vector.`;
   const left = percent(Math.sqrt(Math.max(0, 1 - setup.P)));
   if (mesh.direction) return `To first order, the best step within reach improves the objective by ${percent(Math.sqrt(Math.max(0, setup.P)))} of the improvement by a step of the same size with all vertices free; ${left} of the sensitivity (root mean square) is out of reach of any optimizer.`;
   return `${percent(setup.P)} of the wanted displacement (its squares, summed over the design) is within reach of these control points; the residual is ${left} of it (root mean square), with any optimizer.`;
@@ -59,7 +60,7 @@ function variabilityText(setup) {
 function card(setup, mesh, title, several) {
   const list = el("dl", {},
     el("dt", {}, `R = ${short(setup.R)}`), el("dd", {}, el("b", {}, "Regularity. "), regularityText(setup)),
-    el("dt", {}, `P = ${short(setup.P)}`), el("dd", {}, el("b", {}, "Improvement potential. "), potentialText(setup, mesh)));
+    el("dt", {}, `${setup.run.symbol} = ${short(setup.P)}`), el("dd", {}, el("b", {}, `${setup.run.potential_name[0].toUpperCase()}${setup.run.potential_name.slice(1)}. `), potentialText(setup, mesh)));
   const variability = variabilityText(setup);
   if (variability) list.append(el("dt", {}, `V = ${short(setup.V)}`), el("dd", {}, el("b", {}, "Variability. "), variability));
   return el("div", { class: "card" }, el("h3", {}, title), el("p", { class: "hint" }, `${origin(setup, several)}${setup.nondominated ? "; no other setup of its run is better in both scores" : "; another setup of its run is at least as good in both scores"}`), list);
@@ -69,6 +70,7 @@ function card(setup, mesh, title, several) {
 function comparison(a, b) {
   const times = b.R > 0 && a.R > 0 ? `${short(a.R / b.R, 3)} times the regularity` : "another regularity";
   const residual = 1 - b.P > 0 ? `${short((1 - a.P) / (1 - b.P), 3)} times its squared residual` : "another residual";
+  if (a.run.bounded) return `Compared with the kept setup, the chosen one has ${times} and ${b.P > 0 ? `${short(a.P / b.P, 3)} times its` : "another"} bounded potential.`;
   return `Compared with the kept setup, the chosen one has ${times} and ${residual}.`;
 }
 

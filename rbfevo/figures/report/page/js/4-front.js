@@ -33,7 +33,7 @@ function logScale(setups) {
 function frontFigure(state) {
   const colors = theme(), setups = state.visible, log = state.logarithmic, scale = logScale(setups);
   const place = (setup) => (log && !(setup.R > 0) ? scale.zero : setup.R);
-  const label = (setup) => `${origin(setup, state.several)}<br>R ${short(setup.R)} · P ${short(setup.P)}`;
+  const label = (setup) => `${origin(setup, state.several)}<br>R ${short(setup.R)} · ${setup.run.symbol} ${short(setup.P)}`;
   const traces = [];
   const lowest = log ? scale.low : Math.min(...setups.map((setup) => setup.R)), bottom = Math.min(...setups.map((setup) => setup.P));
   if (state.front.length) {
@@ -50,13 +50,13 @@ function frontFigure(state) {
   }
   const ring = (setup, name, color, size, width) => ({ type: "scatter", mode: "markers", name, x: setup ? [place(setup)] : [], y: setup ? [setup.P] : [], hoverinfo: "skip", cliponaxis: false, showlegend: name === "knee" && Boolean(setup), marker: { symbol: "circle-open", size, color, line: { color, width } } });
   traces.push(ring(state.knee, "knee", colors.ink, 15, 1.2), ring(state.kept, "kept", colors.accent, 20, 3), ring(state.chosen, "chosen", colors.center, 20, 3));
-  const narrow = byId("front").clientWidth < 520;
+  const narrow = byId("front").clientWidth < 520, run = (setups[0] || state.setups[0]).run;
   const layout = {
     uirevision: `${state.filterKey} ${log}`, margin: { l: 56, r: 12, t: 30, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: colors.ink, size: 12 }, hovermode: "closest", dragmode: touched() ? false : "zoom",
     hoverlabel: { bgcolor: colors.paper, bordercolor: colors.grey, font: { color: colors.ink } },
     legend: { orientation: "h", yref: "container", y: 0, yanchor: "bottom", x: 0, font: { size: narrow ? 10 : 12 } }, // the buttons are above
     xaxis: { ...axisLook(colors), title: { text: `regularity R${log ? " (logarithmic)" : ""} →` }, type: log ? "log" : "linear", zeroline: false, ...(log ? { range: [Math.log10(scale.low), Math.log10(scale.high)], exponentformat: "power", dtick: 1 } : {}) },
-    yaxis: { ...axisLook(colors), title: { text: "improvement potential P →" }, zeroline: false },
+    yaxis: { ...axisLook(colors), title: { text: `${run.potential_name}${run.bounded ? "" : " P"} →` }, zeroline: false },
     shapes: log && scale.zeros ? [{ type: "rect", xref: "x", yref: "paper", x0: scale.low, x1: scale.edge, y0: 0, y1: 1, fillcolor: colors.line, opacity: 0.4, line: { width: 0 }, layer: "below" }] : [],
     annotations: log && scale.zeros ? [{ x: Math.log10(scale.zero), y: 0, xref: "x", yref: "paper", text: "R = 0", showarrow: false, yanchor: "bottom", font: { size: 11, color: colors.grey } }] : [],
   };

@@ -35,7 +35,8 @@ function sortedBy(sort, column) {
 }
 
 function drawTable(state) {
-  const columns = COLUMNS.filter((column) => !column.sweep || state.several), { sort } = state;
+  const { sort } = state, { symbol } = (state.visible[0] || state.setups[0]).run;
+  const columns = COLUMNS.filter((column) => !column.sweep || state.several).map((found) => (found.key === "P" ? { ...found, title: symbol } : found));
   const column = columns.find((found) => found.key === sort.key);
   const members = state.visible.filter((setup) => !byId("only-front").checked || state.inFront.has(setup));
   members.sort((a, b) => compare(column.of(a, state), column.of(b, state), sort.down) || a.index - b.index);

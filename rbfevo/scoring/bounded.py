@@ -1,0 +1,258 @@
+"""Bounded potential P_p: improvement potential for a displacement of bounded p-norm in place of a bounded mean square.
+
+With weights w, u_i = w_i / sum w, the wanted displacement g and a_i = u_i g_i,
+
+    G = max over q of a.Uq / |Uq|_p,    P_p = (G / |a|_p*)^2,    p* = p / (p - 1),
+
+is in [0, 1] by Hoelder's inequality, maximized, the same for every manipulation, and P for p = 2. At the optimum
+d = Phi w with |d|_p = 1 it changes with the setup by dG = sum_i (a_i - G h_i).(dPhi_i w), h_i = u_i |d_i|^(p-2) d_i
+(envelope theorem). U includes the blend of held regions.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.geometry.mirror import Mirror
+from rbfevo.scoring.evolvability import cutoff
+from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.maxnorm import Block, best_displacement
+from rbfevo.scoring.maxnorm import dual_norm as dual_norm_of
+from rbfevo.scoring.pnorm import Best, Part, best, dual_norm
+from rbfevo.scoring.representations import RBF, Representation
+from rbfevo.scoring.threads import coarse, run_in_slices
+
+VALUE, GRADIENT = 1e-6, 1e-9  # squared decrements before the last pass: values then hold to 1e-7, gradients to 1e-6
+ROWS = 2048  # of a step of the gradient
+
+
+class Optima(NamedTuple):
+    """What is best within setups [p, *setup].
+
+    Attributes:
+        values: [p] P_p, maximized; NaN where a setup is not finite, 0 where nothing in reach gains anything.
+        weights: [p, r, k] w of the best displacement Phi w, of unit p-norm; a start for similar setups. Those of a
+            symmetric setup have the component across the plane in its own column, 0 for centers on the plane.
+        gradients: [p, *setup] of P_p in the setups, or None; 0 where there is none.
+        passes: [p] passes over the vertices, each with an assembly of the curvature.
+    """
+
+    values: Tensor
+    weights: Tensor
+    gradients: Tensor | None
+    passes: Tensor
+
+
+class _Columns(NamedTuple):
+    """Components that share columns of a setup: their numbers, its centers or other setup [*setup], which those are."""
+
+    components: list[int]
+    representation: Representation
+    setup: Tensor
+    rows: Tensor | None  # [m] bool, centers that have a column; None for all
+
+
+class BoundedPotential:
+    """P_p of populations of setups of one design, on the host; the threads of torch share the setups.
+
+    Args:
+        vertices: [n, d] float64, model units; gradient: g [n, k], of any size; weights: [n] positive, or None for ones.
+        representation: what makes columns of a setup, or the kernel of RBFs.
+        p: at least 2.
+        blend: [n] what rows of U are multiplied by, or None for ones.
+        mirror: the plane of symmetry, or None.
+
+    Attributes:
+        evaluations, passes: setups so far, and their passes over the vertices.
+
+    Raises:
+        UserError: if p is below 2 or not finite, or the representation has no symmetric setups.
+    """
+
+    def __init__(
+        self,
+        vertices: Tensor,
+        gradient: Tensor,
+        representation: Representation | Kernel,
+        p: float,
+        weights: Tensor | None = None,
+        blend: Tensor | None = None,
+        mirror: Mirror | None = None,
+    ) -> None:
+        if not 2.0 <= p < float("inf"):
+            raise UserError(f"criterion.norm={p:g}: give a number of at least 2")
+        self.p, self.mirror = float(p), mirror
+        self.vertices, self.gradient = vertices.cpu(), gradient.cpu()
+        self.representation = RBF(representation) if isinstance(representation, Kernel) else representation
+        self.blend = None if blend is None else blend.cpu()
+        positive = torch.ones_like(self.vertices[:, 0]) if weights is None else weights.cpu()
+        with coarse():
+            self.u = positive / positive.sum()
+            self.a = self.u[:, None] * self.gradient
+            self.a = self.a / self.a.abs().max().clamp_min(torch.finfo(self.a.dtype).tiny)
+            self.dual = dual_norm(self.a, self.u, self.p)
+        self._pair = None if mirror is None else self.representation.symmetric(mirror)
+        if mirror is not None and self._pair is None:
+            raise UserError(f"scenario.symmetry: representation={self.representation.name} has no symmetric setups")
+        self.evaluations = self.passes = 0
+
+    def values(self, setups: Tensor, start: Tensor | None = None) -> Tensor:
+        """P_p [p] of setups [p, *setup], to 1e-7; `start` as for `optima`."""
+        return self.optima(setups, start).values
+
+    def values_and_gradients(self, setups: Tensor, start: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        """P_p [p] of setups [p, *setup] and its gradients [p, *setup] in them."""
+        found = self.optima(setups, start, gradients=True)
+        return found.values, torch.zeros_like(setups) if found.gradients is None else found.gradients
+
+    def definition(self, setups: Tensor) -> Tensor:
+        """P_p [p] of setups [p, *setup] by the definition, `rbfevo.scoring.maxnorm` on the columns' SVD, in NumPy.
+
+        It starts from the fast optimum and goes on until the condition of the maximum holds to rounding.
+        """
+        known = self.optima(setups, gradients=True)
+        values, u, a = known.values.clone(), self.u.numpy(), self.a.numpy()
+        for i in torch.nonzero(known.values > 0).flatten().tolist():
+            parts = self._columns(setups[i].detach().cpu().to(self.vertices.dtype))
+            blocks, start = [], np.zeros(a.shape)
+            for part in parts:
+                Phi = part.representation.phi(self.vertices.numpy(), part.setup.numpy())
+                Phi = Phi if self.blend is None else self.blend.numpy()[:, None] * Phi
+                left, sigma, _ = np.linalg.svd(np.sqrt(u)[:, None] * Phi, full_matrices=False)
+                kept = left[:, sigma > cutoff(*Phi.shape) * sigma[0]] / np.sqrt(u)[:, None]
+                blocks.append(Block(np.array(part.components), np.linalg.qr(kept)[0]))
+                weights = known.weights[i].cpu()[:, part.components]
+                start[:, part.components] = Phi @ _taken(weights, part.rows).numpy()
+            if self.mirror is not None and len(parts) == 1:
+                blocks.append(Block(np.array([self.mirror.axis]), np.zeros((len(u), 0))))
+            gain = best_displacement(blocks, a, u, self.p, start).gain
+            values[i] = min((gain / dual_norm_of(a, u, self.p)) ** 2, 1.0)
+        return values
+
+    @torch.no_grad()
+    def optima(self, setups: Tensor, start: Tensor | None = None, gradients: bool = False) -> Optima:
+        """P_p and the best displacements of setups [p, *setup]; each depends on its own setup and start alone.
+
+        Args:
+            start: [p, r, k] `weights` of similar setups, or None; they save passes and change P_p by rounding alone.
+            gradients: compute gradients too, for which the optimum has to be known better.
+        """
+        count, m = len(setups), self.representation.columns(setups)
+        flat = setups.detach().cpu().to(self.vertices.dtype)
+        values = torch.full((count,), torch.nan, dtype=flat.dtype)
+        weights = torch.zeros(count, m, self.a.shape[1], dtype=flat.dtype)
+        slopes, passes = torch.zeros_like(flat), torch.zeros(count, dtype=torch.long)
+
+        def work(begin: int, end: int) -> None:
+            for i in range(begin, end):
+                setup = flat[i].clone()
+                if not bool(torch.isfinite(setup).all()):
+                    continue
+                near = None if start is None else start[i].cpu()
+                found = self._one(setup, near, GRADIENT if gradients else VALUE)
+                if found is None:
+                    continue
+                value, weights[i], best_one, parts = found
+                values[i] = value
+                if best_one is not None:
+                    passes[i] = best_one.passes
+                    if gradients:
+                        slopes[i] = self._gradient(setup, parts, weights[i], best_one)
+
+        with coarse():
+            run_in_slices(work, count)
+        self.evaluations += count
+        self.passes += int(passes.sum())
+        sound = torch.isfinite(slopes).flatten(1).all(1)
+        slopes = torch.where(sound.view(-1, *(1,) * (slopes.ndim - 1)), slopes, 0.0)
+        found = (values, weights, slopes if gradients else None, passes)
+        return Optima(*(part if part is None else part.to(setups.device) for part in found))  # pyright: ignore[reportArgumentType]
+
+    def _one(
+        self, setup: Tensor, start: Tensor | None, tolerance: float
+    ) -> tuple[float, Tensor, Best | None, list[_Columns]] | None:
+        """P_p of one finite setup, weights [r, k], the optimum, and the columns; None where Phi is not finite."""
+        n, parts, bases, backs = len(self.vertices), self._columns(setup), [], []
+        weights = torch.zeros(self.representation.columns(setup[None]), self.a.shape[1], dtype=setup.dtype)
+        near = None if start is None else torch.zeros_like(self.a)
+        roots = self.u.sqrt()[:, None]
+        for part in parts:
+            Phi = self._phi(part)
+            if not bool(torch.isfinite(Phi).all()):
+                return None
+            if near is not None and start is not None:
+                near[:, part.components] = Phi @ _taken(start[:, part.components], part.rows)
+            Q, R = torch.linalg.qr(roots * Phi)
+            left, sigma, right = torch.linalg.svd(R)
+            kept = sigma > cutoff(n, Phi.shape[1]) * sigma[0]
+            count = int(kept.sum())
+            bases.append(Part(part.components, (Q @ left[:, :count]) / roots))
+            backs.append(right[:count].mT / sigma[:count])
+        found = best(bases, self.a, self.u, self.p, tolerance, near) if any(b.basis.shape[1] for b in bases) else None
+        if found is None:
+            return 0.0, weights, None, parts
+        for part, back, coordinates in zip(parts, backs, found.coordinates, strict=True):
+            _put(weights, part, back @ coordinates)
+        return min((found.gain / self.dual) ** 2, 1.0), weights, found, parts
+
+    def _gradient(self, setup: Tensor, parts: list[_Columns], weights: Tensor, found: Best) -> Tensor:
+        """Gradient [*setup] of P_p."""
+        d = found.displacement
+        h = (self.u * d.square().sum(1) ** (0.5 * self.p - 1.0))[:, None] * d
+        field = self.a - found.gain * h
+        if self.blend is not None:
+            field = self.blend[:, None] * field
+        out = torch.zeros_like(setup)
+        for part in parts:
+            w = _taken(weights[:, part.components], part.rows)
+            total = torch.zeros_like(part.setup)
+            for begin in range(0, len(d), ROWS):
+                these = slice(begin, begin + ROWS)
+                dPhi = (w @ field[these, part.components].mT)[None]
+                total += self._pull(part, self.vertices[these], dPhi)
+            if part.rows is None:
+                out += total
+            else:
+                out[part.rows] += total
+        return out * (2.0 * found.gain / self.dual**2)
+
+    def _pull(self, part: _Columns, points: Tensor, dPhi: Tensor) -> Tensor:
+        """Gradient [*setup] of a function whose gradient in Phi^T is `dPhi` [1, r, q]."""
+        closed = part.representation.pull(points, part.setup[None], dPhi)
+        if closed is not None:
+            return closed[0]
+        with torch.enable_grad():
+            leaf = part.setup[None].detach().requires_grad_()
+            return torch.autograd.grad(part.representation.phi(points, leaf).mT, leaf, dPhi)[0][0]
+
+    def _columns(self, setup: Tensor) -> list[_Columns]:
+        """The columns of one setup: all components share them, but for those along and across a plane of symmetry."""
+        k = self.a.shape[1]
+        if self.mirror is None or self._pair is None:
+            return [_Columns(list(range(k)), self.representation, setup, None)]
+        setup, axis = self.mirror.snapped(setup), self.mirror.axis
+        off = ~self.mirror.on_plane(setup)
+        found = [_Columns([c for c in range(k) if c != axis], self._pair[0], setup, None)]
+        if bool(off.any()):
+            found.append(_Columns([axis], self._pair[1], setup[off], off))
+        return found
+
+    def _phi(self, part: _Columns) -> Tensor:
+        """Phi [n, r] times the blend."""
+        phi = part.representation.phi(self.vertices, part.setup)
+        return phi if self.blend is None else self.blend[:, None] * phi
+
+
+def _taken(weights: Tensor, rows: Tensor | None) -> Tensor:
+    return weights if rows is None else weights[rows]
+
+
+def _put(weights: Tensor, part: _Columns, values: Tensor) -> None:
+    """Write the weights [r, c] of a part's columns into those of all [m, k]."""
+    rows = torch.arange(len(weights)) if part.rows is None else torch.nonzero(part.rows).flatten()
+    weights[rows[:, None], torch.tensor(part.components)] = values

@@ -1,0 +1,287 @@
+"""Bounded potential: against P, SciPy's optimum and finite differences; warm starts, degenerate setups, batches."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from designs import DESIGNS, KERNELS, PAIRS, Design, numpy_phi
+from scipy.optimize import minimize
+from scipy.spatial.distance import cdist
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.geometry.mirror import Mirror
+from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.evolvability import evolvability
+from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.representations import RBF, Representation
+from rbfevo.scoring.symmetric import MirroredEvaluator
+
+SMALL: dict[str, dict[str, Any]] = {"plane": {"nx": 14, "ny": 22}, "sphere": {"subdivisions": 2}}
+MIRROR = Mirror.of_box(1, 0.0, np.full(3, -1.0), np.ones(3))
+
+
+def design(name: str) -> Design:
+    return DESIGNS[name](weighted=True, **SMALL[name])
+
+
+def blend_of(X: np.ndarray) -> np.ndarray:
+    """0 for the third of the vertices with the smallest x, rising to 1."""
+    t = np.clip((X[:, 0] - np.quantile(X[:, 0], 0.33)) / 0.4, 0.0, 1.0)
+    return t * t * (3 - 2 * t)
+
+
+def potential(
+    name: str, kernel: str, p: float = 16.0, held: bool = False, mirror: Mirror | None = None
+) -> BoundedPotential:
+    made = design(name)
+    blend = torch.from_numpy(blend_of(made.vertices.numpy())) if held else None
+    g = made.gradient if blend is None else torch.where(blend[:, None] > 0, made.gradient, 0.0)
+    return BoundedPotential(made.vertices, g, KERNELS[name][kernel], p, made.weights, blend, mirror)
+
+
+def maps(bounded: BoundedPotential, kernel: Kernel, C: np.ndarray) -> list[tuple[list[int], np.ndarray]]:
+    """Components and their columns of U, written anew."""
+    X, k = bounded.vertices.numpy(), bounded.a.shape[1]
+    blend = 1.0 if bounded.blend is None else bounded.blend.numpy()[:, None]
+    if bounded.mirror is None:
+        return [(list(range(k)), blend * numpy_phi(kernel, cdist(X, C)))]
+    image = C * (1, -1, 1)
+    off = C[:, 1] != 0
+    plus = numpy_phi(kernel, cdist(X, C)) + numpy_phi(kernel, cdist(X, image))
+    minus = numpy_phi(kernel, cdist(X, C[off])) - numpy_phi(kernel, cdist(X, image[off]))
+    return [([0, 2], blend * plus), ([1], blend * minus)]
+
+
+def oracle(bounded: BoundedPotential, kernel: Kernel, C: np.ndarray) -> float:
+    """P_p by its formula and SciPy's BFGS, p by p."""
+    u, p = bounded.u.numpy(), bounded.p
+    a = u[:, None] * bounded.gradient.numpy()
+    n, k = a.shape
+    pieces = []
+    for components, U in maps(bounded, kernel, C):
+        left, sigma, _ = np.linalg.svd(np.sqrt(u)[:, None] * U, full_matrices=False)
+        left = left[:, sigma > n * np.finfo(float).eps * sigma[0]] / np.sqrt(u)[:, None]
+        for c in components:
+            wide = np.zeros((n, k, left.shape[1]))
+            wide[:, c] = left
+            pieces.append(wide)
+    A = np.concatenate(pieces, axis=2)
+    b = np.einsum("nkr,nk->r", A, a)
+
+    def loss(z: np.ndarray, q: float) -> tuple[float, np.ndarray]:
+        d = A @ z
+        lengths = np.linalg.norm(d, axis=1)
+        size = float((u * lengths**q).sum() ** (1 / q))
+        slope = np.einsum("nkr,nk->r", A, (u * lengths ** (q - 2))[:, None] * d) / size**q
+        return math.log(size) - math.log(b @ z), slope - b / (b @ z)
+
+    z = b
+    for q in (2.0, 4.0, 8.0, p):
+        if q <= p:
+            z = z / np.linalg.norm(z)
+            z = minimize(loss, z, (q,), jac=True, method="BFGS", options={"gtol": 1e-10, "maxiter": 3000}).x
+    star = p / (p - 1)
+    dual = (u * np.linalg.norm(a / u[:, None], axis=1) ** star).sum() ** (1 / star)
+    return math.exp(-2 * loss(z, p)[0]) / dual**2
+
+
+def setups(name: str, count: int, m: int, mirrored: bool = False) -> Tensor:
+    C = design(name).centers(count, m, seed=5)
+    if mirrored:
+        C[..., 1] = C[..., 1].abs()
+        C[:, -1, 1] = 0.0
+    return C
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize(("name", "kernel"), PAIRS)
+def test_for_p_2_it_is_improvement_potential(name: str, kernel: str, held: bool) -> None:
+    bounded, C = potential(name, kernel, 2.0, held), setups(name, 4, 6)
+    g = bounded.gradient / (bounded.u[:, None] * bounded.gradient.square()).sum().sqrt()
+    Phi = RBF(KERNELS[name][kernel]).phi(bounded.vertices, C)
+    Phi = Phi if bounded.blend is None else bounded.blend[:, None] * Phi
+    _, expected, _ = evolvability(Phi, g, bounded.u)
+    torch.testing.assert_close(bounded.values(C), expected, rtol=0, atol=1e-12)
+    torch.testing.assert_close(bounded.definition(C), expected, rtol=0, atol=1e-12)
+
+
+def test_for_p_2_it_is_that_of_symmetric_setups_too() -> None:
+    bounded, C = potential("sphere", "wendland 1", 2.0, mirror=MIRROR), setups("sphere", 4, 6, True)
+    made = design("sphere")
+    evaluate = MirroredEvaluator(
+        made.vertices, made.gradient, KERNELS["sphere"]["wendland 1"], "direct", made.weights, mirror=MIRROR
+    )
+    torch.testing.assert_close(bounded.values(C), evaluate.definition(C).improvement_potential, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("case", ["plain", "held", "mirror", "held mirror"])
+@pytest.mark.parametrize(("name", "kernel"), PAIRS)
+def test_values_are_those_of_scipys_optimum(name: str, kernel: str, case: str) -> None:
+    mirrored = "mirror" in case
+    if mirrored and name == "plane":
+        pytest.skip("its wanted displacement is a height")
+    bounded = potential(name, kernel, 16.0, "held" in case, MIRROR if mirrored else None)
+    C = setups(name, 3, 5, mirrored)
+    found, defined = bounded.values(C), bounded.definition(C)
+    for i, one in enumerate(C.numpy()):
+        expected = oracle(bounded, KERNELS[name][kernel], one)
+        assert 0.0 < expected < 1.0
+        assert float(defined[i]) == pytest.approx(expected, rel=1e-8)
+        assert float(found[i]) == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.mark.parametrize("p", [3.0, 6.5, 64.0])
+def test_other_norms(p: float) -> None:
+    bounded, C = potential("sphere", "wendland 1", p), setups("sphere", 2, 5)
+    for value, one in zip(bounded.definition(C), C.numpy(), strict=True):
+        assert float(value) == pytest.approx(oracle(bounded, KERNELS["sphere"]["wendland 1"], one), rel=1e-7)
+
+
+@pytest.mark.parametrize("case", ["plain", "held", "mirror", "held mirror"])
+@pytest.mark.parametrize(("name", "kernel"), PAIRS)
+def test_gradients_are_those_of_finite_differences(name: str, kernel: str, case: str) -> None:
+    mirrored = "mirror" in case
+    if mirrored and name == "plane":
+        pytest.skip("its wanted displacement is a height")
+    bounded = potential(name, kernel, 16.0, "held" in case, MIRROR if mirrored else None)
+    C = setups(name, 2, 5, mirrored)
+    values, gradients = bounded.values_and_gradients(C)
+    torch.testing.assert_close(values, bounded.values(C), rtol=0, atol=1e-7)
+    h = 1e-5
+    inner = range(C.shape[1] - mirrored)  # a center on the plane stays there: it moves along it alone
+    places = [(i, j, c) for i in range(len(C)) for j in inner for c in range(C.shape[2])]
+    places += [(i, C.shape[1] - 1, c) for i in range(len(C)) for c in (0, 2)] if mirrored else []
+    moved = torch.stack([C[i].clone() for i, _, _ in places for _ in (0, 1)])
+    for row, (_, j, c) in enumerate(places):
+        moved[2 * row, j, c] += h
+        moved[2 * row + 1, j, c] -= h
+    there = bounded.values_and_gradients(moved)[0]
+    by_differences = (there[0::2] - there[1::2]) / (2 * h)
+    found = torch.stack([gradients[place] for place in places])
+    torch.testing.assert_close(found, by_differences, rtol=1e-5, atol=1e-6 * float(found.abs().max()))
+    if mirrored:
+        assert not gradients[:, -1, 1].any()
+
+
+@pytest.mark.parametrize(("name", "kernel"), PAIRS)
+def test_a_warm_start_changes_passes_and_nothing_else(name: str, kernel: str) -> None:
+    bounded, C = potential(name, kernel), setups(name, 4, 8)
+    before = bounded.optima(C)
+    near = C + 1e-3 * torch.randn(C.shape, generator=torch.Generator().manual_seed(0), dtype=C.dtype)
+    cold, warm = bounded.optima(near, gradients=True), bounded.optima(near, before.weights, gradients=True)
+    torch.testing.assert_close(warm.values, cold.values, rtol=0, atol=1e-10)
+    assert cold.gradients is not None
+    assert warm.gradients is not None
+    torch.testing.assert_close(warm.gradients, cold.gradients, rtol=1e-5, atol=1e-6 * float(cold.gradients.abs().max()))
+    assert int(warm.passes.sum()) < 0.8 * int(cold.passes.sum())
+    for bad in (-before.weights, before.weights.flip(0), torch.zeros_like(before.weights), 1e200 * before.weights,
+                torch.full_like(before.weights, torch.nan)):  # fmt: skip
+        torch.testing.assert_close(bounded.values(near, bad), cold.values, rtol=0, atol=1e-7)
+
+
+def test_degenerate_setups_leave_the_others_alone() -> None:
+    bounded, C = potential("sphere", "wendland 0.5"), setups("sphere", 6, 5)
+    plain = bounded.optima(C, gradients=True)
+    broken = C.clone()
+    broken[0, 0, 0] = torch.nan
+    broken[1, 2, 1] = torch.inf
+    broken[2] += 100.0  # nothing in reach
+    broken[3, 1] = broken[3, 0]  # rank 4
+    broken[4, 0] += 100.0  # one center without a vertex in reach
+    found = bounded.optima(broken, gradients=True)
+    assert found.values[:2].isnan().all()
+    assert float(found.values[2]) == 0.0
+    assert plain.gradients is not None
+    assert found.gradients is not None
+    assert torch.isfinite(found.gradients).all()
+    assert not found.gradients[:3].any()
+    for row, kept in ((3, [0, 2, 3, 4]), (4, [1, 2, 3, 4])):
+        alone = bounded.values(broken[row : row + 1, kept])
+        torch.testing.assert_close(found.values[row : row + 1], alone, rtol=0, atol=1e-7)
+    torch.testing.assert_close(found.values[5], plain.values[5], rtol=0, atol=0)
+    torch.testing.assert_close(found.gradients[5], plain.gradients[5], rtol=0, atol=0)
+    alone = bounded.optima(C[3:4], gradients=True)
+    torch.testing.assert_close(alone.values[0], plain.values[3], rtol=0, atol=0)
+    defined = bounded.definition(broken)
+    assert defined[:2].isnan().all()
+    torch.testing.assert_close(defined[2:], found.values[2:], rtol=0, atol=1e-7)
+
+
+def test_threads_change_nothing() -> None:
+    bounded, C = potential("sphere", "triharmonic"), setups("sphere", 9, 5)
+    found = []
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 3):
+            torch.set_num_threads(threads)
+            found.append(bounded.optima(C, gradients=True))
+    finally:
+        torch.set_num_threads(before)
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other, rtol=0, atol=0)
+
+
+def test_size_of_g_and_of_weights_do_not_matter() -> None:
+    made, C = design("sphere"), setups("sphere", 3, 5)
+    kernel = KERNELS["sphere"]["wendland 1"]
+    plain = BoundedPotential(made.vertices, made.gradient, kernel, 16.0, made.weights).values(C)
+    scaled = BoundedPotential(made.vertices, 1e-90 * made.gradient, kernel, 16.0, 1e3 * made.weights).values(C)
+    torch.testing.assert_close(scaled, plain, rtol=1e-9, atol=0)
+
+
+def test_a_wanted_displacement_within_reach_has_potential_one() -> None:
+    made, C = design("sphere"), setups("sphere", 1, 5)
+    phi = RBF(KERNELS["sphere"]["wendland 1"]).phi(made.vertices, C[0])
+    d = phi @ torch.randn(5, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    g = d * d.square().sum(1, keepdim=True) ** 7  # the dual of d
+    bounded = BoundedPotential(made.vertices, g, KERNELS["sphere"]["wendland 1"], 16.0, made.weights)
+    assert float(bounded.values(C)[0]) == pytest.approx(1.0, abs=1e-6)
+
+
+class Waves(Representation):
+    """A representation without closed forms: sin(D_j x)."""
+
+    name, dims, shape = "waves", 1, (4,)
+
+    def phi(self, points: Any, setups: Any) -> Any:
+        return (setups[..., None, :] * points[:, :1]).sin()
+
+    def columns(self, setups: Any) -> int:
+        return 4
+
+    def spec(self) -> dict[str, Any]:
+        return {"target": "nowhere"}
+
+
+def test_other_representations_get_gradients_by_autograd() -> None:
+    made = design("sphere")
+    bounded = BoundedPotential(made.vertices, made.gradient, Waves(), 16.0, made.weights)
+    D = torch.tensor([[1.0, 2.0, 3.1, 4.5]], dtype=torch.float64)
+    _, gradients = bounded.values_and_gradients(D)
+    steps = 1e-5 * torch.eye(4, dtype=torch.float64)
+    ahead, behind = bounded.values_and_gradients(D + steps)[0], bounded.values_and_gradients(D - steps)[0]
+    torch.testing.assert_close(gradients[0], (ahead - behind) / 2e-5, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("p", [1.0, 1.99, math.inf, math.nan])
+def test_a_norm_below_2_is_refused(p: float) -> None:
+    with pytest.raises(UserError, match=r"criterion.norm=.*: give a number of at least 2"):
+        potential("plane", "triharmonic", p)
+
+
+def test_coarse_evaluators_exist_for_both_manipulations() -> None:
+    """P_p is that of the span: what the evaluator scores directly or indirectly is one number."""
+    made, C = design("plane"), setups("plane", 3, 4)
+    scores = [
+        Evaluator(made.vertices, made.gradient, KERNELS["plane"]["wendland 0.5"], manipulation, made.weights)(C)
+        for manipulation in ("indirect", "direct")
+    ]
+    bounded = potential("plane", "wendland 0.5", 2.0).values(C)
+    for found in scores:
+        torch.testing.assert_close(found.improvement_potential, bounded, rtol=0, atol=1e-9)
