@@ -14,9 +14,11 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from rbfevo.scenarios import face, plane
-from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.bounded import BoundedPotential, Optima
+from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.kernels import triharmonic, wendland
 from rbfevo.scoring.symmetric import evaluator_of
 from rbfevo.scoring.threads import coarse
@@ -29,6 +31,23 @@ def timed(work: Callable[[], Any]) -> tuple[float, Any]:
     begin = time.perf_counter()
     found = work()
     return (time.perf_counter() - begin) / SETUPS * 1e3, found
+
+
+def case(
+    evaluate: Evaluator, bounded: BoundedPotential, moved: Tensor, near: Tensor, rounds: int
+) -> tuple[list[float], list[float]]:
+    """Passes (value cold and warm, gradient cold and warm), and P's milliseconds with the three ratios."""
+    ratios: list[tuple[float, ...]] = []
+    found: list[Optima] = []
+    for _ in range(rounds):
+        plain, _ = timed(lambda: evaluate(moved))
+        value, cold = timed(lambda: bounded.optima(moved))
+        slope, tight = timed(lambda: bounded.optima(moved, gradients=True))
+        again, warm = timed(lambda: bounded.optima(moved, near, gradients=True))
+        ratios.append((plain, value / plain, slope / plain, again / plain))
+        found = [cold, bounded.optima(moved, near), tight, warm]
+    passes = [float(one.passes.double().mean()) for one in found]
+    return passes, [statistics.median(column) for column in zip(*ratios, strict=True)]
 
 
 def main() -> None:
@@ -53,16 +72,7 @@ def main() -> None:
                 near = bounded.optima(centers).weights
                 moved = centers + MOVED * side * noise
                 evaluate(moved)
-                ratios: list[tuple[float, ...]] = []
-                for _ in range(rounds):
-                    plain, _ = timed(lambda: evaluate(moved))
-                    value, cold = timed(lambda: bounded.optima(moved))
-                    slope, tight = timed(lambda: bounded.optima(moved, gradients=True))
-                    again, warm = timed(lambda: bounded.optima(moved, near, gradients=True))
-                    ratios.append((plain, value / plain, slope / plain, again / plain))
-                loose = bounded.optima(moved, near)
-                passes = [float(found.passes.double().mean()) for found in (cold, loose, tight, warm)]
-                median = [statistics.median(column) for column in zip(*ratios, strict=True)]
+                passes, median = case(evaluate, bounded, moved, near, rounds)
                 print(
                     f"| {name}, {kernel.name} | {passes[0]:.1f}, {passes[1]:.1f}; {passes[2]:.1f}, {passes[3]:.1f} "
                     f"| {median[0]:.2f} | {median[1]:.0f}, {median[2]:.0f}, {median[3]:.0f} |",

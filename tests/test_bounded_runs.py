@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -167,13 +168,15 @@ def test_a_resumed_run_equals_one_in_one_piece(method: str, tmp_path: Path, monk
     from rbfevo.runs.journal import Journal
 
     asked = settings(method, criterion_norm=P)
+    longer = {**asked.method, "generations": 20}  # so that a climb is interrupted within a round, at a warm start
+    asked = dataclasses.replace(asked, method=longer)
     assert run.carry_out(asked, tmp_path / "whole") == 0
     write, count = Journal.record, [0]
 
     def record_and_interrupt(journal: Journal, lines: Any) -> None:
         write(journal, lines)
         count[0] += 1
-        if count[0] == 2:
+        if count[0] == 4:
             signal.raise_signal(signal.SIGTERM)
 
     with monkeypatch.context() as patch:

@@ -113,7 +113,9 @@ def _settings(record: Record, run: Path) -> dict[str, Any]:
             config = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
         except (OSError, ValueError, YAMLError, OmegaConfBaseException) as error:
             raise UserError(f"{path} cannot be read: damaged? ({' '.join(str(error).split())})") from None
-        leaves = {"criterion.norm": 2, **dict(_leaves(config))} if isinstance(config, dict) else {}
+        leaves = dict(_leaves(config)) if isinstance(config, dict) else {}
+        if leaves.get("criterion.norm") == 2:  # as of runs from before there were others
+            del leaves["criterion.norm"]
         settings |= {key: leaf for key, leaf in leaves.items() if key not in settings and key not in IRRELEVANT}
     return settings
 
