@@ -236,6 +236,9 @@ def closing(
 ) -> list[str]:
     """The lines on the screen."""
     wanted, reached = (float(np.linalg.norm(field, axis=1).max()) for field in (move.wanted, move.reached))
+    bounded = ""
+    if record.bounded_potential is not None:
+        bounded = f", {record.potential_symbol} = {record.bounded_potential[chosen.row]:.4f}"
     mirror, rule = chosen.mirror, f"{options.rule or RULES[0]} step"
     mirrored = "" if mirror is None else f", mirrored at {'xyz'[mirror.axis]} = {mirror.at:g}"
     size = (
@@ -245,7 +248,7 @@ def closing(
     )
     lines = [
         f"{options.pick.strip()}: row {chosen.row} of {options.run} ({record.method[chosen.row]}): "
-        f"R = {chosen.regularity:.4g}, P = {chosen.improvement_potential:.4f}",
+        f"R = {chosen.regularity:.4g}, P = {chosen.improvement_potential:.4f}{bounded}",
         f"{len(chosen.centers)} centers{mirrored}: {record.title}",
         f"{rule if move.direction else 'best approximation'}: a vertex moves by at most {reached:.4g}"
         + (f" ({size})" if size else f" (wanted: at most {wanted:.4g})"),

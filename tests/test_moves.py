@@ -171,6 +171,17 @@ def test_the_command_line_names_the_rule_and_the_change(tmp_path: Path, capsys: 
     assert json.loads((target / "summary.json").read_text()).get("gradient_is") is None
 
 
+def test_the_bounded_potential_is_printed_where_it_was_searched(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = a_run(tmp_path / "run", **{**SENSITIVITY, "criterion_norm": 16.0})
+    with np.load(run / "setups.npz") as archive:
+        arrays: dict[str, Any] = dict(archive)
+    np.savez(run / "setups.npz", **arrays, bounded_potential=np.array([0.11, 0.22, 0.33, 0.44]))
+    assert export.main([str(run), "--pick", "index:2", "--out", str(tmp_path / "out")]) == 0
+    assert "R = 0.3, P = 0.1000, P_16 = 0.3300" in capsys.readouterr().out
+
+
 # --- the maximizer alone ---------------------------------------------------------------------------------------------
 
 
