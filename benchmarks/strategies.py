@@ -12,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -149,6 +150,11 @@ class Constrained(Aim):
     def __init__(self, thresholds: Tensor, stiffness: float) -> None:
         self.thresholds, self.stiffness = thresholds, stiffness
         self.multipliers = torch.zeros_like(thresholds)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Thresholds, stiffness and multipliers."""
+        tensors = {"thresholds": self.thresholds.clone(), "multipliers": self.multipliers.clone()}
+        return {"kind": "constrained", "stiffness": self.stiffness, **tensors}
 
     def update(self, log_regularity: Tensor, potential: Tensor) -> None:
         """Update the multipliers after a round of climbs."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 import mpmath
 import numpy as np
 import torch
 import trimesh
+from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
@@ -137,3 +139,34 @@ def exact_phi(kernel: Kernel, r: Any) -> Any:
 
 def _distance(a: list, b: list) -> Any:
     return mpmath.sqrt(sum((s - t) ** 2 for s, t in zip(a, b, strict=True)))
+
+
+def scipy_potential(blocks: list[tuple[list[int], np.ndarray]], gradient: np.ndarray, u: np.ndarray, p: float) -> float:
+    """P_p by its formula and SciPy's BFGS: blocks of components and their columns of U, g [n, k], u of sum 1."""
+    a, roots, (n, k) = u[:, None] * gradient, np.sqrt(u)[:, None], gradient.shape
+    pieces = []
+    for components, U in blocks:
+        left, sigma, _ = np.linalg.svd(roots * U, full_matrices=False)
+        left = left[:, sigma > n * EPS * sigma[0]] / roots
+        for c in components:
+            wide = np.zeros((n, k, left.shape[1]))
+            wide[:, c] = left
+            pieces.append(wide)
+    A = np.concatenate(pieces, axis=2)
+    b = np.einsum("nkr,nk->r", A, a)
+
+    def loss(z: np.ndarray, q: float) -> tuple[float, np.ndarray]:
+        d = A @ z
+        lengths = np.linalg.norm(d, axis=1)
+        size = float((u * lengths**q).sum() ** (1 / q))
+        slope = np.einsum("nkr,nk->r", A, (u * lengths ** (q - 2))[:, None] * d) / size**q
+        return math.log(size) - math.log(b @ z), slope - b / (b @ z)
+
+    z = b
+    for q in (2.0, 4.0, 8.0, p):
+        if q <= p:
+            z = z / np.linalg.norm(z)
+            z = minimize(loss, z, (q,), jac=True, method="BFGS", options={"gtol": 1e-10, "maxiter": 3000}).x
+    star = p / (p - 1)
+    dual = (u * np.linalg.norm(a / u[:, None], axis=1) ** star).sum() ** (1 / star)
+    return math.exp(-2 * loss(z, p)[0]) / dual**2

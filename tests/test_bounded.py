@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from designs import DESIGNS, KERNELS, PAIRS, Design, numpy_phi
-from scipy.optimize import minimize
+from designs import DESIGNS, KERNELS, PAIRS, Design, numpy_phi, scipy_potential
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
@@ -59,36 +58,8 @@ def maps(bounded: BoundedPotential, kernel: Kernel, C: np.ndarray) -> list[tuple
 
 
 def oracle(bounded: BoundedPotential, kernel: Kernel, C: np.ndarray) -> float:
-    """P_p by its formula and SciPy's BFGS, p by p."""
-    u, p = bounded.u.numpy(), bounded.p
-    a = u[:, None] * bounded.gradient.numpy()
-    n, k = a.shape
-    pieces = []
-    for components, U in maps(bounded, kernel, C):
-        left, sigma, _ = np.linalg.svd(np.sqrt(u)[:, None] * U, full_matrices=False)
-        left = left[:, sigma > n * np.finfo(float).eps * sigma[0]] / np.sqrt(u)[:, None]
-        for c in components:
-            wide = np.zeros((n, k, left.shape[1]))
-            wide[:, c] = left
-            pieces.append(wide)
-    A = np.concatenate(pieces, axis=2)
-    b = np.einsum("nkr,nk->r", A, a)
-
-    def loss(z: np.ndarray, q: float) -> tuple[float, np.ndarray]:
-        d = A @ z
-        lengths = np.linalg.norm(d, axis=1)
-        size = float((u * lengths**q).sum() ** (1 / q))
-        slope = np.einsum("nkr,nk->r", A, (u * lengths ** (q - 2))[:, None] * d) / size**q
-        return math.log(size) - math.log(b @ z), slope - b / (b @ z)
-
-    z = b
-    for q in (2.0, 4.0, 8.0, p):
-        if q <= p:
-            z = z / np.linalg.norm(z)
-            z = minimize(loss, z, (q,), jac=True, method="BFGS", options={"gtol": 1e-10, "maxiter": 3000}).x
-    star = p / (p - 1)
-    dual = (u * np.linalg.norm(a / u[:, None], axis=1) ** star).sum() ** (1 / star)
-    return math.exp(-2 * loss(z, p)[0]) / dual**2
+    """P_p by its formula and SciPy's BFGS."""
+    return scipy_potential(maps(bounded, kernel, C), bounded.gradient.numpy(), bounded.u.numpy(), bounded.p)
 
 
 def setups(name: str, count: int, m: int, mirrored: bool = False) -> Tensor:

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-import trimesh
-from scipy.optimize import minimize
+from designs import scipy_potential
 from scipy.spatial.distance import cdist
 from test_contracts import settings
-from test_mesh_runs import METHODS
+from test_mesh_runs import METHODS, egg
 
 from rbfevo import figures
 from rbfevo.__main__ import main
@@ -35,16 +33,8 @@ MIRRORED = ["scenario.symmetry=y", "scenario.symmetry_at=0", "scenario.weights=a
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An egg, and a symmetric sensitivity in a file: three values a vertex."""
-    directory = tmp_path_factory.mktemp("egg")
-    ball = trimesh.creation.icosphere(subdivisions=2)
-    x = np.asarray(ball.vertices) * (2.0, 1.0, 0.8)
-    x[np.abs(x[:, 1]) < 1e-12, 1] = 0.0
-    trimesh.Trimesh(x, ball.faces, process=False).export(directory / "egg.ply")
-    egg: Any = trimesh.load(directory / "egg.ply", process=False)
-    x = np.asarray(egg.vertices)
-    np.save(directory / "s.npy", np.stack([np.exp(-((x[:, 0] + 1.5) ** 2)), x[:, 1], x[:, 2] ** 2], axis=1))
-    return directory / "egg.ply"
+    """A small egg, and a symmetric sensitivity in a file: three values a vertex."""
+    return egg(tmp_path_factory.mktemp("egg"), subdivisions=2)
 
 
 def searched(out: Path, template: Path, *overrides: str) -> Record:
@@ -61,40 +51,14 @@ def phi(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def plain_potential(record: Record, C: np.ndarray) -> float:
     """P_16 of one setup, from a run's own files, by NumPy and SciPy."""
-    u = record.weights / record.weights.sum()
-    g, X = record.gradient, record.vertices
-    a, roots = u[:, None] * g, np.sqrt(u)[:, None]
+    X = record.vertices
     blend = 1.0 if record.blend is None else record.blend[:, None]
     blocks: list[tuple[list[int], np.ndarray]] = [([0, 1, 2], blend * phi(X, C))]
     if record.summary["symmetry"] is not None:
         off = C[:, 1] != 0
         plus, minus = (phi(X, C) + phi(X, C * (1, -1, 1))), (phi(X, C[off]) - phi(X, C[off] * (1, -1, 1)))
         blocks = [([0, 2], blend * plus), ([1], blend * minus)]
-    pieces = []
-    for components, U in blocks:
-        left, sigma, _ = np.linalg.svd(roots * U, full_matrices=False)
-        left = left[:, sigma > len(X) * np.finfo(float).eps * sigma[0]] / roots
-        for c in components:
-            wide = np.zeros((len(X), 3, left.shape[1]))
-            wide[:, c] = left
-            pieces.append(wide)
-    A = np.concatenate(pieces, axis=2)
-    b = np.einsum("nkr,nk->r", A, a)
-
-    def loss(z: np.ndarray, q: float) -> tuple[float, np.ndarray]:
-        d = A @ z
-        lengths = np.linalg.norm(d, axis=1)
-        size = float((u * lengths**q).sum() ** (1 / q))
-        slope = np.einsum("nkr,nk->r", A, (u * lengths ** (q - 2))[:, None] * d) / size**q
-        return math.log(size) - math.log(b @ z), slope - b / (b @ z)
-
-    z = b
-    for q in (2.0, 4.0, 8.0, P):
-        z = z / np.linalg.norm(z)
-        z = minimize(loss, z, (q,), jac=True, method="BFGS", options={"gtol": 1e-10, "maxiter": 3000}).x
-    star = P / (P - 1)
-    dual = (u * np.linalg.norm(g, axis=1) ** star).sum() ** (1 / star)
-    return math.exp(-2 * loss(z, P)[0]) / dual**2
+    return scipy_potential(blocks, record.gradient, record.weights / record.weights.sum(), P)
 
 
 def plain_scores(record: Record, C: np.ndarray) -> float:

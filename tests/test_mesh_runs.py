@@ -30,19 +30,23 @@ METHODS = {
 }
 
 
-@pytest.fixture(scope="module")
-def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An egg, and a symmetric sensitivity in a file: three values a vertex."""
-    directory = tmp_path_factory.mktemp("egg")
-    ball = trimesh.creation.icosphere(subdivisions=3)
+def egg(directory: Path, subdivisions: int = 3) -> Path:
+    """Write an egg, and a symmetric sensitivity beside it, `s.npy`: three values a vertex."""
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions)
     ball.apply_transform(np.diag([2.0, 1.0, 0.8, 1.0]))
     x = np.asarray(ball.vertices)
     x[np.abs(x[:, 1]) < 1e-12, 1] = 0.0
     trimesh.Trimesh(x, ball.faces, process=False).export(directory / "egg.ply")
-    egg: Any = trimesh.load(directory / "egg.ply", process=False)
-    x = np.asarray(egg.vertices)
+    read: Any = trimesh.load(directory / "egg.ply", process=False)
+    x = np.asarray(read.vertices)
     np.save(directory / "s.npy", np.stack([np.exp(-((x[:, 0] + 1.5) ** 2)), x[:, 1], x[:, 2] ** 2], axis=1))
     return directory / "egg.ply"
+
+
+@pytest.fixture(scope="module")
+def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An egg, and a symmetric sensitivity in a file: three values a vertex."""
+    return egg(tmp_path_factory.mktemp("egg"))
 
 
 @pytest.fixture(autouse=True)

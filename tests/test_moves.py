@@ -39,7 +39,7 @@ def linear_maps(record: Record, row: int) -> tuple[np.ndarray, np.ndarray]:
     )  # pyright: ignore[reportReturnType]
 
 
-def alike(found: np.ndarray, expected: np.ndarray, tolerance: float = 1e-7) -> None:
+def check_alike(found: np.ndarray, expected: np.ndarray, tolerance: float = 1e-7) -> None:
     """Check that two displacements have one direction."""
     a, b = found.ravel() / np.linalg.norm(found), expected.ravel() / np.linalg.norm(expected)
     np.testing.assert_allclose(a, b, atol=tolerance)
@@ -57,7 +57,7 @@ def test_steepest_descent_is_the_gradient_in_the_parameters(symmetry: Any, manip
     A, centers = linear_maps(record, 0)
     if manipulation == "direct":
         A = A @ np.linalg.pinv(centers, rcond=1e-13)
-    alike(move.reached, A @ (A.T @ rising(record)))
+    check_alike(move.reached, A @ (A.T @ rising(record)))
 
 
 @pytest.mark.parametrize("length", [None, 0.3])
@@ -71,7 +71,7 @@ def test_natural_is_the_projection_in_the_metric_of_the_filter(
     X, faces = record.vertices, record.faces
     metric = np.diag(sobolev.mass(X, faces)) + (length or 0.0) ** 2 * sobolev.stiffness(X, faces).toarray()
     metric = np.kron(metric, np.eye(3))
-    alike(move.reached, A @ np.linalg.lstsq(A.T @ metric @ A, A.T @ rising(record), rcond=1e-13)[0], 1e-6)
+    check_alike(move.reached, A @ np.linalg.lstsq(A.T @ metric @ A, A.T @ rising(record), rcond=1e-13)[0], 1e-6)
 
 
 @pytest.mark.parametrize(("symmetry", "manipulation"), CASES)

@@ -11,6 +11,7 @@ import pytest
 import pyvista as pv
 from scipy.spatial.distance import cdist
 from slabs import THICK, lifted, ring, saved, strip, volume
+from test_mesh_runs import METHODS as MESH_METHODS
 
 from rbfevo import apply, export
 from rbfevo.__main__ import main
@@ -18,21 +19,7 @@ from rbfevo.recorded.record import read
 from rbfevo.recorded.setup import setup
 
 COUNT = 64
-METHODS = {
-    "nsga2": ["method.generations=3", "method.population=8"],
-    "cmaes": ["method.generations=3", "method.population=8", "method.parents=3", "preference=[0.2,0.8]"],
-    "gradient": [
-        "method.generations=8",
-        "method.polish=2",
-        "method.starts=16",
-        "method.population=16",
-        "method.front=5",
-        "method.coarse=100",
-    ],
-    "lloyd": [],
-    "ols": ["method.per_axis=12"],
-    "random": ["method.population=4"],
-}
+METHODS = {**MESH_METHODS, "gradient": [*MESH_METHODS["gradient"], "method.coarse=100"], "ols": ["method.per_axis=12"]}
 RESTRICTIONS = {
     "free": [],
     "symmetric": ["scenario.symmetry=y", "scenario.symmetry_at=0"],

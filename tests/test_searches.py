@@ -101,7 +101,7 @@ def test_cmaes_returns_the_best_that_it_has_met() -> None:
 
 
 class Fixed(Method):
-    """Finds what it is told to."""
+    """Finds what it is given."""
 
     name = "fixed"
 
@@ -120,6 +120,11 @@ class Fixed(Method):
 
     def progress(self) -> list[tuple[float, Tensor]]:
         return self.found
+
+    def state_dict(self) -> dict[str, Any]:
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None: ...
 
 
 def test_a_line_of_the_history_has_the_hypervolume_of_all_and_the_best_of_each() -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn, cast
 
-# Hydra prints several lines and exits with 1 for its own errors unless it is told to raise them.
+# Hydra prints several lines and exits with 1 for its own errors unless this makes it raise them.
 os.environ["HYDRA_FULL_ERROR"] = "1"
 
 import hydra

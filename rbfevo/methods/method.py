@@ -135,17 +135,17 @@ class Method(abc.ABC):
     def rows(self) -> list[Rows]:
         """What has been found so far."""
 
+    @abc.abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """All that steps change, as tensors, numbers and text, by name; copies, so that it stays as it is."""
-        raise NotImplementedError(f"{self.name} has no state to save between its steps")
 
+    @abc.abstractmethod
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue, after `start` on the same problem, bit for bit where `state_dict` was taken.
 
         Raises:
             UserError: if the state does not fit the settings.
         """
-        raise NotImplementedError(f"{self.name} has no state to continue from")
 
     def fits(self, steps: int) -> bool:
         """Whether a state that was taken under settings of `steps` steps is also one of these settings."""

@@ -95,40 +95,46 @@ def _of_centers(chosen: Setup, weights: Array) -> Array:
 
 def _stepped(record: Record, chosen: Setup, rule: str) -> Array:
     """The weights [m, k] of a step by a rule, of any size."""
-    if rule not in RULES:
+    found = {"max-norm": _max_norm, "natural": _natural, "steepest": _steepest}.get(rule)
+    if found is None:
         raise UserError(f"--rule {rule}: choose one of {', '.join(RULES)}")
-    rising = record.weights[:, None] * record.gradient  # -s, but for its size
-    if rule == "steepest":
-        return _steepest(chosen, record, rising)
-    weights = np.zeros((chosen.count, record.gradient.shape[1]))
-    parts = list(_columns(record, chosen))
-    if rule == "natural":
-        from rbfevo.geometry import sobolev  # with SciPy, which takes a while
+    return found(record, chosen, record.weights[:, None] * record.gradient)
 
-        area, length = _areas(record), record.summary.get("smooth")
-        stiffness = None
-        if isinstance(length, int | float) and length > 0 and len(record.faces):
-            stiffness = length**2 * sobolev.stiffness(record.vertices, record.faces)
-        for components, columns, U in parts:
-            metric = area[:, None] * U + (0.0 if stiffness is None else stiffness @ U)
-            left, values, _ = np.linalg.svd(U.T @ metric)
-            kept = values > len(values) * EPS * values[0]
-            inverse = (left[:, kept] / values[kept]) @ left[:, kept].T
-            weights[np.ix_(columns, components)] = inverse @ (U.T @ rising[:, components])
-        return weights
-    bases = []
-    for _, _, U in parts:
+
+def _max_norm(record: Record, chosen: Setup, rising: Array) -> Array:
+    """The weights [m, k] of the rule `max-norm`; `rising` [n, k] is -s but for its size."""
+    weights, blocks, backs = np.zeros((chosen.count, rising.shape[1])), [], []
+    parts = list(_columns(record, chosen))
+    for components, _, U in parts:
         left, values, right = np.linalg.svd(U, full_matrices=False)
         kept = values > max(U.shape) * EPS * values[0]
-        bases.append((left[:, kept], right[kept].T / values[kept]))
-    blocks = [Block(components, left) for (components, _, _), (left, _) in zip(parts, bases, strict=True)]
+        blocks.append(Block(components, left[:, kept]))
+        backs.append(right[kept].T / values[kept])
     found = best_displacement(blocks, rising, _areas(record), NORM)
-    for (components, columns, _), (_, back), coordinates in zip(parts, bases, found.coordinates, strict=True):
+    for (components, columns, _), back, coordinates in zip(parts, backs, found.coordinates, strict=True):
         weights[np.ix_(columns, components)] = back @ coordinates
     return weights
 
 
-def _steepest(chosen: Setup, record: Record, rising: Array) -> Array:
+def _natural(record: Record, chosen: Setup, rising: Array) -> Array:
+    """The weights [m, k] of the rule `natural`."""
+    weights, area, stiffness = np.zeros((chosen.count, rising.shape[1])), _areas(record), None
+    length = record.summary.get("smooth")
+    if isinstance(length, int | float) and length > 0 and len(record.faces):
+        from rbfevo.geometry import sobolev  # with SciPy, which takes a while
+
+        stiffness = length**2 * sobolev.stiffness(record.vertices, record.faces)
+    for components, columns, U in _columns(record, chosen):
+        metric = area[:, None] * U + (0.0 if stiffness is None else stiffness @ U)
+        left, values, _ = np.linalg.svd(U.T @ metric)
+        kept = values > len(values) * EPS * values[0]
+        inverse = (left[:, kept] / values[kept]) @ left[:, kept].T
+        weights[np.ix_(columns, components)] = inverse @ (U.T @ rising[:, components])
+    return weights
+
+
+def _steepest(record: Record, chosen: Setup, rising: Array) -> Array:
+    """The weights [m, k] of the rule `steepest`."""
     weights = np.zeros((chosen.count, rising.shape[1]))
     for components, columns, U in _columns(record, chosen):
         pulled = U.T @ rising[:, components]

@@ -20,9 +20,10 @@ from rbfevo.errors import UserError
 from rbfevo.geometry.holding import Hold
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.planar import LAYER, Plane
+from rbfevo.recorded.parts import hold_in, mirror_in, plane_in, representation_in
 from rbfevo.recorded.record import Record
-from rbfevo.scoring.kernels import Kernel, Wendland, triharmonic
-from rbfevo.scoring.representations import RBF, Representation, representation_of
+from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.representations import RBF, Representation
 
 BLOCK = 65_536  # rows at a time, or fewer where there are many centers
 CELLS = 2**22  # numbers in a block of columns: 32 MB
@@ -282,9 +283,9 @@ def setup(record: Record, row: int) -> Setup:
     Raises:
         UserError: if summary.json names a kernel or a symmetry that is not known here.
     """
-    representation = _representation(record)
-    mirror, centers = _mirror(record), np.array(record.centers[row], dtype=np.float64)
-    on_plane, planar = np.zeros(len(centers), dtype=bool), _planar(record)
+    representation = representation_in(record)
+    mirror, centers = mirror_in(record), np.array(record.centers[row], dtype=np.float64)
+    on_plane, planar = np.zeros(len(centers), dtype=bool), plane_in(record)
     if mirror is not None:
         on_plane, centers = mirror.on_plane(centers), mirror.snapped(centers)
     return Setup(
@@ -296,56 +297,8 @@ def setup(record: Record, row: int) -> Setup:
         row=int(row),
         regularity=float(record.regularity[row]),
         improvement_potential=float(record.improvement_potential[row]),
-        hold=_hold(record, mirror, planar),
+        hold=hold_in(record, mirror, planar),
         genotype=None if record.genotype is None else np.array(record.genotype[row], dtype=np.float64),
         planar=planar,
         tolerance=LAYER * float(np.linalg.norm(np.ptp(record.vertices, axis=0))),
     )
-
-
-def _representation(record: Record) -> Representation:
-    name, support = record.summary.get("kernel"), record.summary.get("support")
-    spec = record.summary.get("representation")
-    if isinstance(spec, dict):
-        return representation_of(spec)
-    if name == "wendland" and isinstance(support, int | float) and 0 < support < float("inf"):
-        return RBF(Wendland(support))
-    if name == "triharmonic":
-        return RBF(triharmonic(record.vertices.shape[1]))
-    raise UserError(f"summary.json: kernel={name} with support radius {support} is not known here")
-
-
-def _hold(record: Record, mirror: Mirror | None, planar: Plane | None) -> Hold | None:
-    if record.held is None:
-        return None
-    width = record.summary.get("hold_width")
-    if not isinstance(width, int | float) or not 0 < width < float("inf"):
-        raise UserError(f"summary.json: hold_width={width} is not a positive number, but scenario.npz has held points")
-    return Hold(record.held, float(width), mirror, planar)
-
-
-def _mirror(record: Record) -> Mirror | None:
-    found = _plane(record, "symmetry")
-    return None if found is None else Mirror.of_box(*found, record.lower, record.upper)
-
-
-def _planar(record: Record) -> Plane | None:
-    found = _plane(record, "planar")
-    if found is None:
-        return None
-    axis, at = found
-    return Plane(axis, at, float(np.abs(record.vertices[:, axis] - at).max()))
-
-
-def _plane(record: Record, key: str) -> tuple[int, float] | None:
-    """The axis and the coordinate of a plane in summary.json."""
-    plane = record.summary.get(key)
-    if plane is None:
-        return None
-    axis, at = (plane.get("axis"), plane.get("at")) if isinstance(plane, dict) else (None, None)
-    axes = ["x", "y", "z"][: record.vertices.shape[1]]
-    if axis not in axes or not isinstance(at, int | float) or not np.isfinite(at):
-        raise UserError(
-            f"summary.json: {key}={plane} must have an axis ({', '.join(axes)}) and a number as its entry `at`"
-        )
-    return axes.index(axis), float(at)

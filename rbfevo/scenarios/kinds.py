@@ -59,18 +59,27 @@ def ask(names: Iterable[str], values: Array, areas: Array, triangles: Triangles,
     Raises:
         UserError: with the reason, asking for `scenario.sensitivity_kind`.
     """
-    key = f"scenario.sensitivity={source}: is it integrated over each vertex's share of the surface, or per area?"
-    answer = "set scenario.sensitivity_kind=nodal (integrated) or density (per area)"
+    reason = hint(names, values, areas, triangles)
+    if reason is not None:
+        raise UserError(
+            f"scenario.sensitivity={source}: is it integrated over each vertex's share of the surface, or per area? "
+            f"{reason}; set scenario.sensitivity_kind=nodal (integrated) or density (per area)"
+        )
+
+
+def hint(names: Iterable[str], values: Array, areas: Array, triangles: Triangles) -> str | None:
+    """What suggests that values are per area, in a sentence; None where nothing does. Arguments as for `ask`."""
     for name in names:
         for pattern, reason in PER_AREA:
             if pattern.fullmatch(name.strip().lower()):
-                raise UserError(f"{key} {name}: {reason}; {answer}")
+                return f"{name}: {reason}"
     found = slope(values, areas, triangles)
-    if found is not None and found.slope <= NEAR_ZERO and found.slope + 2.0 * found.error < CERTAIN:
-        raise UserError(
-            f"{key} Where the mesh is refined, its size goes with area^{found.slope:.2f} ({found.vertices} vertices; "
-            f"integrated values go with area^1, those per area with area^0); {answer}"
-        )
+    if found is None or found.slope > NEAR_ZERO or found.slope + 2.0 * found.error >= CERTAIN:
+        return None
+    return (
+        f"Where the mesh is refined, its size goes with area^{found.slope:.2f} ({found.vertices} vertices; integrated "
+        "values go with area^1, those per area with area^0)"
+    )
 
 
 def slope(values: Array, areas: Array, triangles: Triangles) -> Slope | None:

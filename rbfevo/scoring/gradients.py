@@ -99,11 +99,13 @@ class _Scores(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, centers: Tensor, evaluator: Evaluator) -> tuple[Tensor, Tensor]:
+        """R and P [p] of centers [p, m, d]."""
         ctx.spectrum = evaluator.spectrum(centers)
         return ctx.spectrum.regularity, ctx.spectrum.potential
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+        """The gradient [p, m, d] in the centers, from those [p] in R and in P."""
         spectrum: Spectrum = ctx.spectrum
         sigma, slope = spectrum.sigma, (grads[0] * spectrum.regularity)[:, None]
         dlog_sigma = torch.zeros_like(sigma)

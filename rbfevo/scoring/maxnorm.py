@@ -19,11 +19,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from rbfevo.arrays import Array
+
+Along = Callable[[float], tuple[float, float]]  # t -> value and slope
 
 FIRST = 4.0  # the first p on the way to a larger one; each is twice the one before
 TOLERANCE = 1e-13  # of the squared Newton decrement before the last pass: it falls to about its square by that pass
@@ -92,8 +94,7 @@ def best_displacement(
     if near is None:
         near, count, _ = _climbed(space, z, linear, u, p, [*stages(p), *[p] * PASSES])
         passes += count
-    z = near
-    z = z / norm(space.displaced(z), u, p)
+    z = near / norm(space.displaced(near), u, p)
     return Gain(space.displaced(z), space.coordinates(z), size * float(linear @ z), passes)
 
 
@@ -151,27 +152,35 @@ def _pass(space: _Span, z: Array, linear: Array, u: Array, p: float) -> tuple[Ar
     decrement = float(slope @ step)
     if not decrement > DONE:
         return z, 0.0
-    return z + _share(d, space.displaced(step), u, p, gain, float(linear @ step), decrement) * step, decrement
+    move = space.displaced(step)
+    squares, cross, own = ((one * other).sum(1) for one, other in ((d, d), (d, move), (move, move)))
+    along = along_line(squares, cross, own, u, p, gain, float(linear @ step))
+    return z + flattest(along, math.log(gain), decrement) * step, decrement
 
 
-def _share(d: Array, move: Array, u: Array, p: float, gain: float, rise: float, first: float) -> float:
-    """How far along `move` [n, k] the ratio a.d / |d|_p is largest; `first` is the slope of its logarithm at 0."""
-    parts = [(one * other).sum(1) for one, other in ((d, d), (d, move), (move, move))]
+def along_line(squares: Any, cross: Any, own: Any, u: Any, p: float, gain: float, rise: float) -> Along:
+    """log(a.d / |d|_p) and its slope along the line d + t move, as a function of t; NumPy and torch alike.
+
+    Args:
+        squares, cross, own: [n] |d_i|^2, d_i.move_i and |move_i|^2; u: [n] of sum 1; p: of the norm.
+        gain, rise: a.d and a.move.
+    """
 
     def along(t: float) -> tuple[float, float]:
+        """Value and slope at t; both -inf where there is no gain."""
         if gain + t * rise <= 0.0:
             return -math.inf, -math.inf
-        squares = np.maximum(parts[0] + t * (2.0 * parts[1] + t * parts[2]), 0.0)
-        largest = float(squares.max())
-        powers = u * (squares / largest) ** (0.5 * p - 1.0)
-        total = float(powers @ squares)
+        there = (squares + t * (2.0 * cross + t * own)).clip(min=0.0)
+        largest = float(there.max())
+        powers = u * (there / largest) ** (0.5 * p - 1.0)
+        total = float(powers @ there)
         value = math.log(gain + t * rise) - 0.5 * math.log(largest) - math.log(total / largest) / p
-        return value, rise / (gain + t * rise) - float(powers @ (parts[1] + t * parts[2])) / total
+        return value, rise / (gain + t * rise) - float(powers @ (cross + t * own)) / total
 
-    return flattest(along, math.log(gain), first)
+    return along
 
 
-def flattest(along: Callable[[float], tuple[float, float]], value: float, first: float) -> float:
+def flattest(along: Along, value: float, first: float) -> float:
     """Where a function of t > 0 with one maximum has nearly no slope: at 1, if that will do.
 
     Args:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rbfevo.scoring.maxnorm import DAMPING, DONE, FAINT, LEAST, NEAR, NOTHING, PASSES, flattest, stages
+from rbfevo.scoring.maxnorm import DAMPING, DONE, FAINT, LEAST, NEAR, NOTHING, PASSES, along_line, flattest, stages
 
 ROWS = 2048  # of a step of the curvature: in cache
 
@@ -86,6 +86,7 @@ class _Climb:
         return torch.cat([(part.basis.mT @ field[:, part.components]).mT.flatten() for part in self.parts])
 
     def displaced(self, z: Tensor) -> Tensor:
+        """The displacement [n, k]."""
         d = torch.zeros(self.shape, dtype=z.dtype)
         for part, coordinates in zip(self.parts, self._cut(z), strict=True):
             d[:, part.components] = part.basis @ coordinates
@@ -103,6 +104,7 @@ class _Climb:
         return gain / norm(self.displaced(z), self.u, p) if gain > 0.0 else 0.0
 
     def finished(self, z: Tensor, p: float, passes: int) -> Best:
+        """The result, scaled to |d|_p = 1."""
         d = self.displaced(z)
         size = norm(d, self.u, p)
         z, d = z / size, d / size
@@ -129,18 +131,8 @@ class _Climb:
         if not decrement > DONE:
             return z, d, 0.0
         move, rise = self.displaced(step), float(self.linear @ step)
-        cross, own, u = (d * move).sum(1), move.square().sum(1), self.u
-
-        def along(t: float) -> tuple[float, float]:
-            if gain + t * rise <= 0.0:
-                return -math.inf, -math.inf
-            there = (squares + t * (2.0 * cross + t * own)).clamp_min(0.0)
-            largest = float(there.max())
-            powers = u * (there / largest) ** (0.5 * p - 1.0)
-            total = float(powers @ there)
-            value = math.log(gain + t * rise) - 0.5 * math.log(largest) - math.log(total / largest) / p
-            return value, rise / (gain + t * rise) - float(powers @ (cross + t * own)) / total
-
+        cross, own = (d * move).sum(1), move.square().sum(1)
+        along = along_line(squares, cross, own, self.u, p, gain, rise)
         share = flattest(along, math.log(gain), decrement)
         return z + share * step, d + share * move, decrement
 

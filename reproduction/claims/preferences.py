@@ -148,8 +148,8 @@ def stuck(study: Study) -> Iterator[Case]:
     "6",
     "A search for one preference can be caught in a local optimum.",
     """the worst preference: f of CMA-ES's setup, with the paper's 1,000 generations, less the best f on the front of
-    the gradient search with the same seed, over the range of f on that front; whether a local optimum or a want of
-    generations keeps it there is not told apart""",
+    the gradient search with the same seed, over the range of f on that front; a local optimum and too few
+    generations are not distinguished""",
     f"< -{NEAR}",
     ("cmaes-full", "gradient"),
 )

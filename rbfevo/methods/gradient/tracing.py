@@ -49,9 +49,9 @@ class Aim(abc.ABC):
     def __call__(self, log_regularity: Tensor, potential: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Values [p], gradients [p] in log R, and in P."""
 
+    @abc.abstractmethod
     def state_dict(self) -> dict[str, Any]:
         """What it is made of, by name, with the kind of aim; `aim_of` makes it again."""
-        raise NotImplementedError(f"{type(self).__name__} has no state to save")
 
 
 class WeightedSum(Aim):

@@ -27,6 +27,7 @@ class Wendland(Kernel):
         self._radius = self.support = float(support)
 
     def phi(self, r: Any) -> Any:
+        """(1 - q)^4 (4 q + 1) at q = r/s below 1, else 0; of distances of any shape, NumPy or torch."""
         q = (r / self._radius).clip(max=1.0)
         u = 1.0 - q
         u = u * u  # pow(., 4) costs as much as ten products
