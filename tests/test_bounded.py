@@ -15,6 +15,7 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.bounded_evaluator import BoundedEvaluator
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.evolvability import evolvability
 from rbfevo.scoring.kernels import Kernel
@@ -256,3 +257,23 @@ def test_coarse_evaluators_exist_for_both_manipulations() -> None:
     bounded = potential("plane", "wendland 0.5", 2.0).values(C)
     for found in scores:
         torch.testing.assert_close(found.improvement_potential, bounded, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("mirror", [None, MIRROR])
+@pytest.mark.parametrize("manipulation", ["indirect", "direct"])
+def test_the_evaluator_of_bounded_potential_has_its_gradients(manipulation: str, mirror: Mirror | None) -> None:
+    bounded, made = potential("sphere", "wendland 1", mirror=mirror), design("sphere")
+    parts = (made.vertices, made.gradient, KERNELS["sphere"]["wendland 1"], manipulation, made.weights)
+    plain = Evaluator(*parts) if mirror is None else MirroredEvaluator(*parts, mirror=mirror)
+    evaluate = BoundedEvaluator(plain, bounded)
+    centers = setups("sphere", 2, 4, mirror is not None)
+    scores, spectrum = evaluate(centers), evaluate.spectrum(centers)
+    torch.testing.assert_close(spectrum.potential, bounded.values(centers), rtol=1e-6, atol=1e-9)
+    torch.testing.assert_close(scores.regularity, plain(centers).regularity, rtol=0, atol=0)
+    gradient, h = spectrum.backward(torch.zeros_like(spectrum.sigma), torch.ones_like(spectrum.potential)), 1e-5
+    for axis in range(3):
+        ahead, behind = centers.clone(), centers.clone()
+        ahead[:, 1, axis] += h
+        behind[:, 1, axis] -= h
+        slope = (bounded.definition(ahead) - bounded.definition(behind)) / (2 * h)
+        torch.testing.assert_close(gradient[:, 1, axis], slope, rtol=1e-4, atol=1e-7)

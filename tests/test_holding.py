@@ -391,6 +391,23 @@ def test_held_vertices_stay_to_the_bit_in_exports_and_deformed_meshes(
         np.testing.assert_allclose(np.asarray(fine_moved.vertices), expected, atol=1e-5)
 
 
+def test_what_is_held_on_one_side_of_a_symmetric_run_stays_on_both_when_applied(egg: Path, tmp_path: Path) -> None:
+    overrides = ["method=random", "method.population=3", "scenario.symmetry=y", "scenario.symmetry_at=0"]
+    run = a_run(egg, tmp_path / "run", *overrides, "scenario.hold=[null,0.6,null,null,null,null]")
+    record = read(run)
+    assert record.blend is not None
+    assert record.held is not None
+    assert (record.held[:, 1] >= 0.6).all()
+    both = np.abs(record.vertices[:, 1]) >= 0.6
+    np.testing.assert_array_equal(record.blend == 0, both)
+    assert export.main([str(run), "--pick", "index:0", "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    moves = ["--displacements", str(tmp_path / "out" / "displacements.csv"), "--mesh", str(egg)]
+    assert apply.main([str(run), "--pick", "index:0", *moves, "--out", str(tmp_path / "moved.vtp")]) == 0
+    move = np.linalg.norm(np.asarray(pyvista.read(tmp_path / "moved.vtp")["displacement"]), axis=1)
+    assert (move[both] == 0).all()
+    assert (move[~both] > 0).any()
+
+
 def test_a_closing_table_names_centers_with_no_free_vertex_in_reach(
     egg: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
