@@ -10,8 +10,9 @@ import torch
 from benchmarks.bench_cases import CENTERS, Case, cases, kernel, scenario
 from benchmarks.bench_rows import Row, at_most
 from benchmarks.measure import in_child, interleaved, median, peak_memory, timed
+from rbfevo.methods.candidates import grid_candidates
 from rbfevo.methods.lloyd import lloyd
-from rbfevo.methods.ols import Selection, grid_candidates, ols
+from rbfevo.methods.ols import Selection, ols
 from rbfevo.scoring.gram import kernel_columns
 from rbfevo.scoring.threads import coarse
 

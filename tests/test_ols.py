@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from rbfevo.errors import UserError
-from rbfevo.methods.ols import grid_candidates, ols
+from rbfevo.methods.candidates import grid_candidates
+from rbfevo.methods.ols import ols
 from rbfevo.scoring import gram
 from rbfevo.scoring.distances import distances
 from rbfevo.scoring.kernels import Wendland
@@ -306,7 +307,8 @@ def test_a_grid_of_one_point_per_axis_is_refused():
 def test_the_face_stays_within_two_gigabytes():
     program = """
 import resource, torch, trimesh
-from rbfevo.methods.ols import grid_candidates, ols
+from rbfevo.methods.candidates import grid_candidates
+from rbfevo.methods.ols import ols
 X = torch.tensor(trimesh.creation.icosphere(subdivisions=5).vertices.copy())
 g = X * torch.sin(4 * X + 1).prod(1, keepdim=True)
 box = torch.ones(3, dtype=torch.float64)

@@ -50,6 +50,12 @@ def test_picks() -> None:
     assert pick(FOUND, " index:5 ") == 5
 
 
+@pytest.mark.parametrize(("share", "row"), [("1", 5), ("0.95", 5), ("0.91", 5), ("0.9", 2), ("0.7", 3), ("0", 3)])
+def test_the_most_regular_setup_with_a_share_of_the_best_potential(share: str, row: int) -> None:
+    """The best P is 0.99; 2 has 0.9, 0.909 of it; 3 has 0.7, 0.707 of it, and the best R."""
+    assert pick(FOUND, f"potential:{share}") == row
+
+
 @pytest.mark.parametrize("preference", [0.0, 0.2, 0.5, 0.77, 1.0])
 def test_a_preference_picks_the_best_of_equation_9(preference: float) -> None:
     scores = [(preference * r + (1 - preference) * p, -i) for i, (r, p) in enumerate(zip(R, P, strict=True))]
@@ -68,7 +74,9 @@ def test_a_preference_picks_the_best_of_equation_9(preference: float) -> None:
         ("preference:1.5", "a number from 0"),
         ("preference:nan", "a number from 0"),
         ("preference:x", "a number from 0"),
-        ("nee", "choose one of knee, best-regularity, best-improvement-potential, index:ROW, preference:LAMBDA"),
+        ("potential:1.01", "a number from 0 to 1, a share of the best"),
+        ("potential:", "a number from 0 to 1, a share of the best"),
+        ("nee", "choose one of knee, best-regularity, best-improvement-potential, potential:SHARE, index:ROW"),
         ("knee:3", "choose one of"),
         ("index", "choose one of"),
         ("", "choose one of"),

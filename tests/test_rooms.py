@@ -17,6 +17,7 @@ ROOMS = {
     "scenarios": {"geometry", "meshes"},
     "scoring": {"geometry", "scenarios"},
     "methods": {"geometry", "scenarios", "scoring"},
+    "advice": {"scenarios", "scoring", "methods"},
     "recorded": {"geometry", "scoring"},
     "runs": {"geometry", "scenarios", "scoring", "methods", "figures"},  # a run starts the program that draws
     "fit": {"scenarios", "scoring", "methods", "runs", "recorded"},

@@ -13,6 +13,7 @@ import trimesh
 from test_gradient import gradient, settings
 from torch import Tensor
 
+from rbfevo.methods.candidates import grid_candidates
 from rbfevo.methods.cmaes.search import CmaesSearch
 from rbfevo.methods.gradient.lbfgs import LBFGS
 from rbfevo.methods.gradient.search import GradientSearch
@@ -21,7 +22,7 @@ from rbfevo.methods.gradient.tracing import soft_regularity
 from rbfevo.methods.lloyd import LloydHeuristic, lloyd
 from rbfevo.methods.method import Method, Problem, Rows
 from rbfevo.methods.nsga2 import Nsga2Search
-from rbfevo.methods.ols import OlsHeuristic, grid_candidates, ols
+from rbfevo.methods.ols import OlsHeuristic, ols
 from rbfevo.runs.run import Run
 from rbfevo.scoring.evolvability import Scores
 from rbfevo.scoring.fronts import preferred

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import hydra.errors
@@ -28,10 +28,8 @@ def launch(arguments: Sequence[str] | None = None) -> int:
     Raises:
         UserError: for a user's mistake.
     """
-    setup_globals()  # Hydra's resolvers, which an argument may name
-    OmegaConf.register_new_resolver("unique", lambda: uuid.uuid4().hex[:6], use_cache=True, replace=True)
-    given = names.quoted(sys.argv[1:] if arguments is None else arguments, ROOTS)
-    try:
+    given = prepared(arguments)
+    with explained(given):
         if any(argument in ("-h", "--help") for argument in given):
             print(usage.text(given, CONF), flush=True)
             return 0
@@ -50,5 +48,23 @@ def launch(arguments: Sequence[str] | None = None) -> int:
             with contextlib.chdir(Path.cwd() if run is None else resume.began_in(run)):
                 composition.start(task, others)
             return code
+
+
+def prepared(arguments: Sequence[str] | None) -> list[str]:
+    """The arguments as Hydra reads them, with the resolvers registered that they may name."""
+    setup_globals()  # Hydra's resolvers
+    OmegaConf.register_new_resolver("unique", lambda: uuid.uuid4().hex[:6], use_cache=True, replace=True)
+    return names.quoted(sys.argv[1:] if arguments is None else arguments, ROOTS)
+
+
+@contextlib.contextmanager
+def explained(given: Sequence[str]) -> Iterator[None]:
+    """Turn errors of Hydra and OmegaConf, and of the file system, into one line.
+
+    Raises:
+        UserError: that line.
+    """
+    try:
+        yield
     except (hydra.errors.HydraException, OmegaConfBaseException, OSError) as error:
         raise UserError(overrides.explain(error, given, CONF)) from None

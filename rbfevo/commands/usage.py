@@ -17,6 +17,7 @@ python -m rbfevo resume=RUN [KEY=VALUE ...] continue a run that was stopped
 hydra.run.dir=DIR or, with -m, hydra.sweep.dir=DIR is the directory for the results (default: outputs/DATE/TIME).
 Names may hold spaces, quotes, commas and other signs: hydra.run.dir='a (1)' in a shell."""
 TAIL = """--cfg job prints the configuration of a run, --hydra-help the options of Hydra.
+Which kernel, radius and number of centers: python -m rbfevo.advise.
 For a run: python -m rbfevo.show, .figures, .export, .apply and .fit; for a sweep: python -m rbfevo.collect."""
 
 

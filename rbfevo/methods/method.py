@@ -63,6 +63,7 @@ class Problem:
         spectrum: setups [p, *setup], and perhaps what a spectrum of similar ones had as `near` -> singular values and P
             with gradients, for searches that climb.
         coarsened: count -> the same problem on at most so many weighted vertices.
+        norm: p of the potential that is searched, 2 for improvement potential.
     """
 
     evaluate: Callable[[Tensor], Scores]
@@ -75,6 +76,7 @@ class Problem:
     representation: Representation
     spectrum: Callable[..., Spectrum]
     coarsened: Callable[[int], Problem]
+    norm: float = 2.0
 
     @property
     def flat_box(self) -> tuple[Tensor, Tensor]:

@@ -24,7 +24,9 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.methods.candidates import atoms_of, candidates_of
 from rbfevo.methods.method import Heuristic, Problem, at_least_one
+from rbfevo.methods.nested import FEWER, nested_of
 from rbfevo.scoring.threads import run_in_slices
 
 
@@ -34,19 +36,6 @@ class Selection(NamedTuple):
     centers: Tensor
     indices: Tensor
     gains: Tensor
-
-
-def grid_candidates(lower: Tensor, upper: Tensor, per_axis: int = 30) -> Tensor:
-    """Return the uniform grid [per_axis**d, d] over the box `lower` [d], `upper` [d], ends included, last axis fastest.
-
-    Raises:
-        UserError: if `per_axis` is below 2.
-    """
-    if per_axis < 2:
-        raise UserError(f"the grid of OLS candidates needs at least 2 points per axis, not {per_axis}")
-    steps = torch.linspace(0.0, 1.0, per_axis, dtype=lower.dtype, device=lower.device)
-    axes = [torch.lerp(low, high, steps) for low, high in zip(lower, upper, strict=True)]
-    return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, len(axes))
 
 
 @torch.no_grad()
@@ -281,7 +270,8 @@ class OlsHeuristic(Heuristic):
     """Greedy centers by orthogonal least squares on a grid of candidates, for high improvement potential.
 
     They are chosen for indirect manipulation and used for both, since P is the same for both. Of a symmetric design it
-    sees one half, without the images of the centers; of a planar one candidates lie in the plane alone.
+    sees one half, without the images of the centers; of a planar one candidates lie in the plane alone. Where bounded
+    potential is searched, the centers are those of `rbfevo.methods.nested`, on a coarse design.
     """
 
     name = "ols"
@@ -290,31 +280,19 @@ class OlsHeuristic(Heuristic):
         super().__init__()
         self.per_axis = at_least_one(f"{self.name}: per_axis", per_axis)
 
-    def _candidates(self, problem: Problem) -> Tensor:
-        """The grid [c, d] over the box or, of a planar design, over its mid-plane, without the region kept free."""
-        (lower, upper), planar = problem.scenario.search_box, problem.scenario.planar
-        if planar is None:
-            grid = grid_candidates(lower, upper, self.per_axis)
-        else:
-            axes = sorted(planar.others)
-            flat = grid_candidates(lower[axes], upper[axes], self.per_axis)
-            grid = flat.new_full((len(flat), 3), planar.at)
-            grid[:, axes] = flat
-        region = problem.scenario.keep_out
-        return grid if region is None else grid[~region.contains(grid)]
-
     def place(self, problem: Problem) -> Tensor:
         """[1, m, d]."""
+        if problem.norm != 2.0:
+            per_axis = min(self.per_axis, FEWER)
+            centers = nested_of(
+                problem.scenario, problem.representation, problem.norm, problem.centers, per_axis
+            ).centers
+            return problem.assembled(self.name, centers)[None]
         design = problem.scenario.half()
-        atoms, blend = problem.representation.atoms(design.vertices), design.blend
-        if atoms is None:
-            raise UserError(
-                f"method={self.name} places centers one by one, and "
-                f"representation={problem.representation.name} has none"
-            )
+        atoms, blend = atoms_of(problem.representation, design), design.blend
         centers = ols(
             atoms if blend is None else lambda candidates: blend[:, None] * atoms(candidates),
-            self._candidates(problem),
+            candidates_of(problem.scenario, self.per_axis),
             design.gradient,
             problem.centers,
             weights=design.weights,

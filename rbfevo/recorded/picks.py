@@ -9,7 +9,10 @@ from rbfevo.errors import UserError
 from rbfevo.recorded.record import Record, knee
 from rbfevo.scoring.fronts import preferred
 
-PICKS = ("knee", "best-regularity", "best-improvement-potential", "index:ROW", "preference:LAMBDA")
+PICKS = (
+    *("knee", "best-regularity", "best-improvement-potential"),
+    *("potential:SHARE", "index:ROW", "preference:LAMBDA"),
+)
 
 
 def pick(record: Record, choice: str) -> int:
@@ -18,7 +21,8 @@ def pick(record: Record, choice: str) -> int:
     Args:
         record: the run.
         choice: `knee`; `best-regularity` or `best-improvement-potential`, ties broken by the other score; where bounded
-            potential was searched it stands for improvement potential in all of these;
+            potential was searched it stands for improvement potential in all of these; `potential:0.95`, the best
+            regularity among the rows with at least 0.95 of the best improvement potential;
             `index:12`, that row; `preference:0.3`, the row maximizing 0.3 R + 0.7 P (paper, eq. 9), the lowest of
             equals.
 
@@ -32,8 +36,11 @@ def pick(record: Record, choice: str) -> int:
         raise UserError("no setup has finite centers and scores")
     if kind == "index" and colon:
         return _row(record, value)
+    if kind == "potential" and colon:
+        share = _share(value, "potential", "to 1, a share of the best improvement potential")
+        return best(usable[P[usable] >= share * P[usable].max()], R, P)
     if kind == "preference" and colon:
-        preference = _preference(value)
+        preference = _share(value, "preference", "(improvement potential) to 1 (regularity)")
         return int(usable[np.argmax(preferred(preference, np.column_stack([R, P])[usable]))])
     if not colon and kind == "best-regularity":
         return best(usable, R, P)
@@ -61,11 +68,12 @@ def _row(record: Record, value: str) -> int:
     return int(value)
 
 
-def _preference(value: str) -> float:
+def _share(value: str, kind: str, ends: str) -> float:
+    """A number in [0, 1]; `ends` completes the sentence that refuses others."""
     try:
-        preference = float(value)
+        share = float(value)
     except ValueError:
-        preference = -1.0
-    if not 0.0 <= preference <= 1.0:
-        raise UserError(f"pick=preference:{value}: give a number from 0 (improvement potential) to 1 (regularity)")
-    return preference
+        share = -1.0
+    if not 0.0 <= share <= 1.0:
+        raise UserError(f"pick={kind}:{value}: give a number from 0 {ends}")
+    return share

@@ -154,6 +154,7 @@ class Parts:
             representation=self.representation,
             spectrum=evaluator.spectrum,
             coarsened=fewer_vertices,
+            norm=self.norm,
         )
         return problem
 

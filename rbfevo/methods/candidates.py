@@ -1,0 +1,51 @@
+"""Where heuristics that pick centers one by one may put them: a grid over the box, and the columns of its points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.representations import Representation
+
+
+def grid_candidates(lower: Tensor, upper: Tensor, per_axis: int = 30) -> Tensor:
+    """Return the uniform grid [per_axis**d, d] over the box `lower` [d], `upper` [d], ends included, last axis fastest.
+
+    Raises:
+        UserError: if `per_axis` is below 2.
+    """
+    if per_axis < 2:
+        raise UserError(f"the grid of OLS candidates needs at least 2 points per axis, not {per_axis}")
+    steps = torch.linspace(0.0, 1.0, per_axis, dtype=lower.dtype, device=lower.device)
+    axes = [torch.lerp(low, high, steps) for low, high in zip(lower, upper, strict=True)]
+    return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, len(axes))
+
+
+def candidates_of(scenario: Scenario, per_axis: int) -> Tensor:
+    """The grid [c, d] over the box or, of a planar design, over its mid-plane, without the region kept free."""
+    (lower, upper), planar = scenario.search_box, scenario.planar
+    if planar is None:
+        grid = grid_candidates(lower, upper, per_axis)
+    else:
+        axes = sorted(planar.others)
+        flat = grid_candidates(lower[axes], upper[axes], per_axis)
+        grid = flat.new_full((len(flat), 3), planar.at)
+        grid[:, axes] = flat
+    region = scenario.keep_out
+    return grid if region is None else grid[~region.contains(grid)]
+
+
+def atoms_of(representation: Representation, design: Scenario) -> Callable[[Tensor], Tensor]:
+    """The map from candidates [c, d] to their columns [n, c] at the vertices of a design.
+
+    Raises:
+        UserError: if the representation does not consist of centers.
+    """
+    atoms = representation.atoms(design.vertices)
+    if atoms is None:
+        raise UserError(f"method=ols places centers one by one, and representation={representation.name} has none")
+    return atoms

@@ -1,0 +1,162 @@
+"""A nested sequence for bounded potential: one center after the other, each where it raises P_p the most.
+
+Bounded potential has no closed form for the gain of another center. What a candidate with column phi promises is
+bounded from below along one line: with d the best displacement so far, |d|_p = 1, G = a.d and r = a - G h what is left of the
+gradient of the gain, d moves along phi v, v = phi^T r / |phi^T r|, by the most promising of a few lengths. The
+candidates that promise most are then solved exactly. For p = 2 and without the screening these are the picks of
+orthogonal least squares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from rbfevo.errors import UserError
+from rbfevo.methods.candidates import atoms_of, candidates_of
+from rbfevo.scenarios.coarse import coarsened
+from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.representations import Representation
+from rbfevo.scoring.threads import run_in_slices
+
+TRIED = 8  # candidates a pick that are solved exactly
+LENGTHS = (0.05, 0.1, 0.2, 0.4, 0.7, 1.0, 1.5, 2.2)  # of a move along a candidate, over the largest |phi_i|
+TIE = 1e-9  # of P_p: the lowest index wins
+FEWER = 12  # candidates along an axis: each pick looks at all of them
+VERTICES = 1500  # weighted ones, of the design on which centers are picked
+BLOCK = 16  # candidates at a time: their columns stay in cache
+
+
+class Sequence(NamedTuple):
+    """Centers [count, d] in the order picked, their candidate indices [count], and P_p [count] with each added."""
+
+    centers: Tensor
+    indices: Tensor
+    potential: Tensor
+
+
+@torch.no_grad()
+def nested(
+    bounded: BoundedPotential,
+    columns: Callable[[Tensor], Tensor],
+    assemble: Callable[[Tensor], Tensor],
+    candidates: Tensor,
+    count: int,
+    tried: int = TRIED,
+) -> Sequence:
+    """Pick `count` of `candidates` [c, d] greedily, to maximize bounded potential.
+
+    Args:
+        bounded: P_p of the design, without a plane of symmetry.
+        columns: maps centers [b, d] to their columns [n, b], without the blend.
+        assemble: makes setups of centers [*pop, m, d].
+        candidates: [c, d], model units.
+        tried: candidates solved exactly for each pick; all of them are those of the definition.
+
+    Raises:
+        UserError: if fewer than `count` candidates move anything.
+    """
+    screen = _Screen(bounded, columns, candidates)
+    chosen: list[int] = []
+    values: list[Tensor] = []
+    k = bounded.a.shape[1]
+    weights = bounded.a.new_zeros(0, k)
+    for t in range(count):
+        promise = screen.promise()
+        promise[chosen] = -torch.inf
+        rows = promise.topk(min(tried, len(candidates) - t)).indices
+        rows = rows[torch.isfinite(promise[rows])].sort().values
+        if not len(rows):
+            raise UserError(
+                f"only {t} of the {len(candidates)} candidates move anything, for {count} centers: ask for fewer centers "
+                "or enlarge the support radius"
+            )
+        before = candidates[torch.tensor(chosen, dtype=torch.long)].expand(len(rows), t, -1)
+        start = torch.cat((weights, weights.new_zeros(1, k))).expand(len(rows), -1, -1)
+        found = bounded.optima(assemble(torch.cat((before, candidates[rows, None]), dim=1)), start if t else None)
+        best = int((found.values >= found.values.max() - TIE).nonzero()[0])
+        chosen.append(int(rows[best]))
+        values.append(found.values[best])
+        weights = found.weights[best]
+        screen.move(candidates[torch.tensor(chosen)], weights)
+    indices = torch.tensor(chosen)
+    return Sequence(candidates[indices], indices, torch.stack(values))
+
+
+def nested_of(
+    scenario: Scenario, representation: Representation, norm: float, count: int, per_axis: int = FEWER
+) -> Sequence:
+    """The nested sequence of a design: on at most `VERTICES` weighted vertices, of half of a symmetric one.
+
+    Args:
+        scenario: the design; norm: p; count: centers; per_axis: candidates along each axis of the grid over the box.
+
+    Raises:
+        UserError: if the representation does not consist of centers, or too few candidates move anything.
+    """
+    design = coarsened(scenario.half(), VERTICES)
+    columns = atoms_of(representation, design)
+    bounded = BoundedPotential(design.vertices, design.gradient, representation, norm, design.weights, design.blend)
+
+    def assemble(centers: Tensor) -> Tensor:
+        setups = representation.assemble(centers)
+        return centers if setups is None else setups
+
+    return nested(bounded, columns, assemble, candidates_of(scenario, per_axis), count)
+
+
+class _Screen:
+    """The best displacement of the centers picked so far, and what another candidate promises beside it."""
+
+    def __init__(self, bounded: BoundedPotential, columns: Callable[[Tensor], Tensor], candidates: Tensor) -> None:
+        self.bounded, self._columns, self.candidates = bounded, columns, candidates
+        self.d, self.left = torch.zeros_like(bounded.a), bounded.a
+        self.gain = 0.0
+
+    def columns(self, centers: Tensor) -> Tensor:
+        """[n, b] with the blend."""
+        found = self._columns(centers)
+        return found if self.bounded.blend is None else self.bounded.blend[:, None] * found
+
+    def move(self, centers: Tensor, weights: Tensor) -> None:
+        """Take the best displacement of the centers picked, Phi w with |Phi w|_p = 1."""
+        u, p = self.bounded.u, self.bounded.p
+        self.d = self.columns(centers) @ weights
+        self.gain = float((self.bounded.a * self.d).sum())
+        h = (u * self.d.square().sum(1) ** (0.5 * p - 1.0))[:, None] * self.d
+        self.left = self.bounded.a - self.gain * h
+
+    def promise(self) -> Tensor:
+        """[c] a gain a.d / |d|_p that each candidate reaches at least; -inf for those that move nothing."""
+        found = torch.full((len(self.candidates),), -torch.inf, dtype=self.d.dtype)
+
+        def work(begin: int, end: int) -> None:
+            for block in range(begin, end):
+                these = slice(block * BLOCK, (block + 1) * BLOCK)
+                found[these] = self._along(self.columns(self.candidates[these]).mT)
+
+        run_in_slices(work, -(-len(self.candidates) // BLOCK))
+        return found
+
+    def _along(self, phi: Tensor) -> Tensor:
+        """The most of a.d / |d|_p along the line of each candidate, columns phi [b, n]."""
+        u, half, a = self.bounded.u, 0.5 * self.bounded.p, self.bounded.a
+        slope = phi @ self.left
+        steepness = slope.norm(dim=1)
+        largest = phi.abs().amax(1)
+        moving = torch.isfinite(phi).all(1) & (steepness > 0.0) & (largest > 0.0)
+        direction = slope / torch.where(moving, steepness, 1.0)[:, None]
+        rise = ((phi @ a) * direction).sum(1)
+        cross, own, here = phi * (direction @ self.d.mT), phi.square(), self.d.square().sum(1)
+        best = torch.full_like(rise, -torch.inf)
+        for length in LENGTHS:
+            t = length / torch.where(moving, largest, 1.0)
+            squares = (here + t[:, None] * (2.0 * cross + t[:, None] * own)).clamp_min(0.0)
+            most = squares.amax(1).clamp_min(torch.finfo(phi.dtype).tiny)
+            size = most.sqrt() * ((squares / most[:, None]) ** half @ u) ** (0.5 / half)
+            best = torch.maximum(best, (self.gain + t * rise) / size)
+        return torch.where(moving, best, -torch.inf)
