@@ -104,7 +104,7 @@ def test_the_front_is_drawn(panel: Path) -> None:
     assert image[..., :3].std() > 0.02
 
 
-@pytest.mark.parametrize("step", (2, 3, 5, LAST - 1))
+@pytest.mark.parametrize("step", [2, 3, 5, LAST - 1])
 def test_a_panel_that_was_interrupted_ends_as_the_whole_one(
     step: int, panel: Path, template: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
