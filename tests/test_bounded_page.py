@@ -99,7 +99,7 @@ def test_knee_and_picks_are_those_of_the_recorded_run(page: Page, record: Record
     page.uncheck("#weighted")
 
 
-def test_the_residual_that_is_shown_is_that_of_P(page: Page, record: Record) -> None:
+def test_the_residual_that_is_shown_is_that_of_the_least_squares_fit(page: Page, record: Record) -> None:
     for row in record.front[[0, -1]].tolist():
         page.evaluate("(row) => { location.hash = `#setup=${row}`; }", row)
         page.wait_for_function("(row) => rbfevo.state.chosen.row === row", arg=row)
