@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pyvista as pv
+from matplotlib.image import imread
 
 from benchmarks import choosing
 
@@ -59,3 +60,25 @@ def test_the_tables_of_the_page_are_those_on_disk(tmp_path: Path, monkeypatch: p
     assert choosing.main() == 0
     assert page.read_text() == (ROOT / "docs" / "choosing.md").read_text()
     assert "| wendland 15% | direct |" in page.read_text()
+
+
+def test_the_picture_of_both_norms_is_made_by_the_commands_beside_it(tmp_path: Path) -> None:
+    blocks = re.findall(r"```sh\n(.*?)```", (ROOT / "docs" / "criterion.md").read_text(), re.DOTALL)
+    (block,) = [found for found in blocks if "docs/car/norms.py" in found]
+    done = []
+    for line in block.replace("\\\n", " ").strip().splitlines():
+        words = shlex.split(line)[1:]
+        more = SHORT.get(words[1] if words[0] == "-m" else words[0], [])
+        arguments = [str(ROOT / word) if word.startswith("docs/car/") else word for word in [*words, *more]]
+        run = [sys.executable, *arguments]
+        done.append(subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=False))
+        assert done[-1].returncode == 0, done[-1].stderr
+    names = ("norm", "potential", "saved", "drag", "predicted", "wide")
+    numbers = [re.findall(r"-?\d+(?:\.\d+)?", line)[:6] for line in done[-1].stdout.splitlines()]
+    two, sixteen = [dict(zip(names, map(float, found), strict=True)) for found in numbers]
+    assert (two["norm"], sixteen["norm"]) == (2, 16)
+    assert [found["potential"] for found in (two, sixteen)] == [found["saved"] for found in (two, sixteen)]
+    assert sixteen["predicted"] < two["predicted"] < 0
+    assert max(two["drag"], sixteen["drag"]) < 0
+    assert sixteen["wide"] > two["wide"]
+    assert imread(tmp_path / "outputs" / "car" / "criterion-car.png").std() > 0.05

@@ -23,7 +23,7 @@ def comparison(members: Sequence[Member]) -> dict[str, Any]:
         keys = [key for key in here[0].varying if len({group.settings[key] for group in here}) > 1]
         rivals += [_group(group, number, sweep.name_of(group, keys, here)) for group in sweep.rivals_of(here)]
     return {
-        "varying": [key for key in varying if key != "mesh"],
+        "varying": [key for key in varying if key not in ("mesh", "criterion.norm")],  # the mesh's name tells the norm
         "meshes": [_mesh(members, mesh) for mesh in meshes],
         "sentences": [sentence[0].upper() + sentence[1:] for sentence in sweep.best(groups)],
         "warnings": sweep.warnings(members),

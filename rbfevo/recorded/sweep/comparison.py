@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rbfevo.recorded.sweep.members import typed
-from rbfevo.recorded.sweep.tables import ALL, FIRST, QUANTITIES, Group, origins_of
+from rbfevo.recorded.sweep.tables import ALL, FIRST, PLAIN, QUANTITIES, Group, origins_of
 
 Value = tuple[Any, ...]  # of one or more settings that are compared together
 ENOUGH = 5  # seeds: by chance alone all of five lead all of five others in 1 of 252 cases
@@ -31,7 +31,9 @@ def best(groups: Sequence[Group]) -> list[str]:
     for mesh in meshes:
         here = [group for group in groups if group.settings["mesh"] == mesh]
         keys = [key for key in here[0].varying if len({group.settings[key] for group in here}) > 1]
-        start = f"{here[0].settings['scenario']}, {here[0].vertices} vertices, mesh {mesh}: " if meshes[1:] else ""
+        searched = "" if here[0].potential == PLAIN else f"{here[0].potential}, "
+        name = f"{here[0].settings['scenario']}, {here[0].vertices} vertices, {searched}mesh {mesh}: "
+        start = name if meshes[1:] else ""
         sentences += [start + sentence for sentence in (*_leaders(here, keys), *_comparisons(here, keys))]
     return sentences
 
@@ -106,7 +108,7 @@ def _leaders(groups: Sequence[Group], keys: Sequence[str]) -> Iterator[str]:
         order.sort(key=lambda group: -group.spreads[key].median)
         if order:
             first, *others = order
-            what = key.replace("_", " ").removeprefix("best ")
+            what = key.removeprefix("best_").replace("improvement_potential", first.potential)
             if others:
                 leader = f"best {what}: {name_of(first, keys, groups)}: {_median(first, key)}"
                 yield f"{leader}; {_lead(key, order, [name_of(group, keys, groups) for group in others])}"

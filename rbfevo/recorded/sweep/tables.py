@@ -36,6 +36,7 @@ QUANTITIES = (
     *("evaluations", "seconds"),
 )
 ALL = "all"  # the series of all rows of a run
+PLAIN = "improvement potential"  # what is searched, unless a norm other than 2 is asked for
 
 
 class Line(NamedTuple):
@@ -78,7 +79,7 @@ class Group(NamedTuple):
 
     Attributes:
         settings: those of `ALWAYS` and those that vary in the sweep; varying: the keys of the latter.
-        vertices: of the mesh; setups: the largest number of setups a run has.
+        vertices: of the mesh; setups: the largest number of setups a run has; potential: what was searched, in words.
         runs: names; seeds: how many different ones there are; spreads, values: of each
             of `QUANTITIES`, over the runs and of each run.
     """
@@ -92,6 +93,7 @@ class Group(NamedTuple):
     seeds: int
     spreads: dict[str, Spread]
     values: dict[str, tuple[float, ...]]
+    potential: str = PLAIN
 
 
 def varying(members: Sequence[Member]) -> list[str]:
@@ -200,9 +202,8 @@ def groups(members: Sequence[Member]) -> list[Group]:
     """The lines whose settings and series are the same, all but the seed; in the order in which they first occur."""
     keys, vary = _columns(members), tuple(varying(members))
     gathered: dict[tuple[Any, ...], list[Line]] = {}
-    vertices: dict[str, int] = {}
+    records = {member.name: member.record for member in members}
     for member in members:
-        vertices[member.name] = len(member.record.vertices)
         for line in _lines(member, keys):
             alike = (line.settings["mesh"], *(line.settings[key] for key in vary), line.series)
             gathered.setdefault(alike, []).append(line)
@@ -211,12 +212,13 @@ def groups(members: Sequence[Member]) -> list[Group]:
             settings=found[0].settings,
             varying=vary,
             series=found[0].series,
-            vertices=vertices[found[0].run],
+            vertices=len(records[found[0].run].vertices),
             setups=max(line.setups for line in found),
             runs=tuple(line.run for line in found),
             seeds=len({line.seed for line in found}),
             spreads={key: spread(getattr(line, key) for line in found) for key in QUANTITIES},
             values={key: tuple(float(getattr(line, key)) for line in found) for key in QUANTITIES},
+            potential=records[found[0].run].potential_name,
         )
         for found in gathered.values()
     ]

@@ -31,6 +31,9 @@ function setupsOf(content) {
   return setups;
 }
 
+/** A run on the mesh that is shown: all of them searched the same potential. */
+const runShown = (state) => state.content.runs.find((run) => run.mesh === state.meshIndex);
+
 /** The centers [m][d] of a setup. */
 function centersOf(setup, d) {
   const { m, centers } = setup.run;

@@ -50,7 +50,7 @@ function frontFigure(state) {
   }
   const ring = (setup, name, color, size, width) => ({ type: "scatter", mode: "markers", name, x: setup ? [place(setup)] : [], y: setup ? [setup.P] : [], hoverinfo: "skip", cliponaxis: false, showlegend: name === "knee" && Boolean(setup), marker: { symbol: "circle-open", size, color, line: { color, width } } });
   traces.push(ring(state.knee, "knee", colors.ink, 15, 1.2), ring(state.kept, "kept", colors.accent, 20, 3), ring(state.chosen, "chosen", colors.center, 20, 3));
-  const narrow = byId("front").clientWidth < 520, run = (setups[0] || state.setups[0]).run;
+  const narrow = byId("front").clientWidth < 520, run = runShown(state);
   const layout = {
     uirevision: `${state.filterKey} ${log}`, margin: { l: 56, r: 12, t: 30, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: colors.ink, size: 12 }, hovermode: "closest", dragmode: touched() ? false : "zoom",
     hoverlabel: { bgcolor: colors.paper, bordercolor: colors.grey, font: { color: colors.ink } },
@@ -88,6 +88,8 @@ function settingOf(run, name) {
 function drawFront(state) {
   const { traces, layout } = frontFigure(state), plot = byId("front");
   Plotly.react(plot, traces, layout, ZOOMING());
+  const { potential_name } = runShown(state);
+  plot.setAttribute("aria-label", `${potential_name[0].toUpperCase()}${potential_name.slice(1)} over regularity of every setup`);
   if (!plot.dataset.listens) {
     plot.dataset.listens = "yes";
     plot.on("plotly_click", (event) => {

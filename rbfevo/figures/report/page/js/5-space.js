@@ -184,7 +184,8 @@ function drawScale(state) {
   byId("scale-unit").textContent = mesh.scale ? "model units" : mesh.direction ? "of the sensitivity (unit norm)" : "of the displacement (unit norm)";
   byId("scale-bar").style.background = `linear-gradient(to right, ${state.content.colors.map(([at, color]) => `${color} ${100 * at}%`).join(", ")})`;
   const notes = state.flaw ? [state.flaw] : [];
-  if (mesh.n < mesh.of) notes.push(`This page shows and computes with ${mesh.n.toLocaleString("en")} of ${mesh.of.toLocaleString("en")} vertices; R and P are those of all.`);
+  if (mesh.n < mesh.of) notes.push(`This page shows and computes with ${mesh.n.toLocaleString("en")} of ${mesh.of.toLocaleString("en")} vertices; R and ${runShown(state).symbol} are those of all.`);
+  if (runShown(state).bounded && (state.color === "left" || state.shape === "reached")) notes.push("What is reached, and the residual, are those of the least-squares fit (of P), not of the step that the bounded potential is about.");
   if (state.shape !== "template") notes.push("Centers are shown at their first places.");
   if (state.shape !== "template" && mesh.remark) notes.push(`Shape: ${mesh.remark}.`);
   if (state.color === "left" && state.chosen && !hasResidual(state.chosen)) notes.push("This page does not hold the residual of this setup.");

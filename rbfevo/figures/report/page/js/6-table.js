@@ -35,7 +35,7 @@ function sortedBy(sort, column) {
 }
 
 function drawTable(state) {
-  const { sort } = state, { symbol } = (state.visible[0] || state.setups[0]).run;
+  const { sort } = state, { symbol } = runShown(state);
   const columns = COLUMNS.filter((column) => !column.sweep || state.several).map((found) => (found.key === "P" ? { ...found, title: symbol } : found));
   const column = columns.find((found) => found.key === sort.key);
   const members = state.visible.filter((setup) => !byId("only-front").checked || state.inFront.has(setup));

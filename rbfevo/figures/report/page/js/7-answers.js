@@ -9,12 +9,15 @@ const MEASURES = [
   { key: "seconds", title: "seconds", down: true },
 ];
 
+/** The name of a measure for the runs on the mesh that is shown, which searched one and the same potential. */
+const titleOf = ({ title }, state) => title.replace(/\bP\b/, runShown(state).symbol);
+
 function drawAnswers(state) {
   const { sweep } = state.content;
   if (!sweep) return;
   byId("answers").hidden = false;
   byId("sentences").replaceChildren(...sweep.sentences.map(answer), ...sweep.warnings.map((warning) => el("li", { class: "hint" }, `Warning: ${warning}`)));
-  byId("measure").replaceChildren(...MEASURES.map(({ key, title }) => el("option", { value: key }, title)));
+  byId("measure").replaceChildren(...MEASURES.map(({ key }) => el("option", { value: key })));
   byId("measure").addEventListener("change", () => drawSpread(state));
   state.groupSort = { key: "hypervolume", down: true };
 }
@@ -40,6 +43,7 @@ function wrapped(name, most) {
 
 /** A dot for every seed, and median and quartiles for every group, the best on top. */
 function drawSpread(state) {
+  for (const option of byId("measure").options) option.textContent = titleOf(MEASURES.find((measure) => measure.key === option.value), state);
   const colors = theme(), key = byId("measure").value, { down } = MEASURES.find((measure) => measure.key === key);
   const groups = groupsShown(state).filter((group) => group[key].median !== null);
   groups.sort((a, b) => (down ? b[key].median - a[key].median : a[key].median - b[key].median));
@@ -52,13 +56,13 @@ function drawSpread(state) {
   const layout = {
     height: 120 + (10 + 16 * lines) * names.length, margin: { l: 10, r: 16, t: 10, b: 44 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", font: { color: colors.ink, size: 12 }, dragmode: false, hovermode: "closest",
     hoverlabel: { bgcolor: colors.paper, bordercolor: colors.grey, font: { color: colors.ink } }, legend: { orientation: "h", y: 1.02, yanchor: "bottom", x: 0 },
-    xaxis: { ...axisLook(colors), title: { text: MEASURES.find((measure) => measure.key === key).title } }, yaxis: { ...axisLook(colors), type: "category", categoryarray: names, tickvals: names, ticktext: names.map(cut) },
+    xaxis: { ...axisLook(colors), title: { text: titleOf(MEASURES.find((measure) => measure.key === key), state) } }, yaxis: { ...axisLook(colors), type: "category", categoryarray: names, tickvals: names, ticktext: names.map(cut) },
   };
   Plotly.react(plot, traces, layout, CONFIG);
 }
 
 function drawGroups(state) {
-  const columns = [{ key: "label", title: "settings", text: true }, { key: "seeds", title: "seeds" }, ...MEASURES];
+  const columns = [{ key: "label", title: "settings", text: true }, { key: "seeds", title: "seeds" }, ...MEASURES.map((measure) => ({ ...measure, title: titleOf(measure, state) }))];
   const value = (group, key) => (key === "label" || key === "seeds" ? group[key] : group[key].median);
   const { groupSort: sort } = state, groups = groupsShown(state).sort((a, b) => compare(value(a, sort.key), value(b, sort.key), sort.down));
   const act = (key) => { state.groupSort = sortedBy(sort, columns.find((column) => column.key === key)); drawGroups(state); byId("groups").querySelector(`[data-key="${key}"]`).focus(); };
