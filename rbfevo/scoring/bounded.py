@@ -109,9 +109,9 @@ class BoundedPotential:
             raise UserError(f"scenario.symmetry: representation={self.representation.name} has no symmetric setups")
         self.evaluations = self.passes = 0
 
-    def values(self, setups: Tensor, start: Tensor | None = None) -> Tensor:
-        """P_p [p] of setups [p, *setup], to 1e-6; `start` as for `optima`."""
-        return self.optima(setups, start).values
+    def values(self, setups: Tensor, start: Tensor | None = None, gap: float = VALUE) -> Tensor:
+        """P_p [p] of setups [p, *setup], to 1e-6 unless `gap` says otherwise; arguments as for `optima`."""
+        return self.optima(setups, start, gap=gap).values
 
     def values_and_gradients(self, setups: Tensor, start: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """P_p [p] of setups [p, *setup] and its gradients [p, *setup] in them."""
@@ -123,7 +123,7 @@ class BoundedPotential:
 
         It starts from the fast optimum and goes on until the condition of the maximum holds to rounding.
         """
-        known = self.optima(setups, gradients=True)
+        known = self.optima(setups, gap=0.0)
         values, u, a = known.values.clone(), self.u.numpy(), self.a.numpy()
         for i in torch.nonzero(known.values > 0).flatten().tolist():
             parts = self._columns(setups[i].detach().cpu().to(self.vertices.dtype))
@@ -143,12 +143,15 @@ class BoundedPotential:
         return values
 
     @torch.no_grad()
-    def optima(self, setups: Tensor, start: Tensor | None = None, gradients: bool = False) -> Optima:
+    def optima(
+        self, setups: Tensor, start: Tensor | None = None, gradients: bool = False, gap: float = VALUE
+    ) -> Optima:
         """P_p and the best displacements of setups [p, *setup]; each depends on its own setup and start alone.
 
         Args:
             start: [p, s + r k] `near` of similar setups, or None; they save passes and change P_p within its accuracy.
             gradients: compute gradients too, for which the optimum has to be known better.
+            gap: by what share of G its bound may lie above it without gradients; 0 for values to rounding.
         """
         count, m = len(setups), self.representation.columns(setups)
         flat = setups.detach().cpu().to(self.vertices.dtype)
@@ -162,7 +165,7 @@ class BoundedPotential:
                 if not bool(torch.isfinite(setup).all()):
                     continue
                 near = None if start is None else self._remembered(start[i].cpu().to(setup.dtype), setup.shape)
-                found = self._one(setup, near, 0.0 if gradients else VALUE)
+                found = self._one(setup, near, 0.0 if gradients else gap)
                 if found is None:
                     continue
                 value, weights[i], best_one, parts = found

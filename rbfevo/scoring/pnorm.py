@@ -22,11 +22,11 @@ from rbfevo.scoring.maxnorm import DONE, NEAR, NOTHING, PASSES, along_line, flat
 
 ROWS = 1024  # of a step of the curvature: in cache
 FAINT = (1e-8, 1e-3)  # least and largest share of the largest |d_i|^(p-2) below which a vertex is left out
-FALL = 1e-2  # that share over the squared decrement of the pass before
-WARM = 1e-5  # that share in the first pass from near the optimum
-ROUGH = 1e-3  # the squared decrement before the last pass on a sample
+FALL = 1e-3  # that share over the squared decrement of the pass before
+WARM = 1e-6  # that share in the first pass from near the optimum
+ROUGH = 1e-4  # the squared decrement before the last pass on a sample
 CLOSE = 1e-2  # the squared decrement below which a bound is worth its powers
-SURE = 1e-9  # the squared decrement before the last pass: gradients then hold to 1e-6
+SURE = 1e-11  # the squared decrement before the last pass: gradients then hold to some 1e-6
 
 
 class Part(NamedTuple):
@@ -89,7 +89,7 @@ def best(
     if sample is not None:
         some = [Part(part.components, part.basis[sample]) for part in parts]
         rough = _Climb(some, u[sample] / u[sample].sum(), a.shape[1], first)
-        near, _ = rough.climbed(first, p, 0.0, approach[: NEAR], FAINT[1], ROUGH)
+        near, _ = rough.climbed(first, p, 0.0, approach[:NEAR], FAINT[1], ROUGH)
         if climb.ratio(near, p) > climb.ratio(first, p):
             near, converged = climb.climbed(near, p, gap, [p] * NEAR, WARM)
             if converged:
@@ -112,13 +112,13 @@ class _Climb:
 
     def pulled(self, field: Tensor) -> Tensor:
         """What each coordinate gains by a field [n, k]."""
-        return torch.cat([(part.basis.mT @ field[:, part.components]).mT.flatten() for part in self.parts])
+        return torch.cat([(field.mT[part.components] @ part.basis).flatten() for part in self.parts])
 
     def displaced(self, z: Tensor) -> Tensor:
         """The displacement [n, k]."""
         d = torch.zeros(len(self.u), self.k, dtype=z.dtype)
         for part, coordinates in zip(self.parts, self._cut(z), strict=True):
-            d[:, part.components] = part.basis @ coordinates
+            d[:, part.components] = (coordinates.mT @ part.basis.mT).mT  # rows of few numbers are slow to make
         return d
 
     def _cut(self, z: Tensor) -> list[Tensor]:
