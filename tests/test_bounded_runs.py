@@ -78,9 +78,7 @@ def plain_scores(record: Record, C: np.ndarray) -> float:
     + [("nsga2", MIRRORED), ("gradient", [*MIRRORED, *HELD, "manipulation=direct"]), ("cmaes", MIRRORED)]
     + [("nsga2", ["scenario.search_vertices=100"]), ("gradient", ["method.coarse=100"])],
 )
-def test_saved_potentials_are_certified(
-    method: str, more: list[str], template: Path, tmp_path: Path
-) -> None:
+def test_saved_potentials_are_certified(method: str, more: list[str], template: Path, tmp_path: Path) -> None:
     record = searched(tmp_path, template, f"method={method}", *METHODS[method], *more)
     summary = record.summary
     assert summary["objectives"] == ["regularity", "bounded_potential"]

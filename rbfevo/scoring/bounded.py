@@ -21,7 +21,7 @@ from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.scoring.evolvability import cutoff
 from rbfevo.scoring.kernels import Kernel
-from rbfevo.scoring.maxnorm import Block, best_displacement
+from rbfevo.scoring.maxnorm import Block, best_displacement, power
 from rbfevo.scoring.maxnorm import dual_norm as dual_norm_of
 from rbfevo.scoring.pnorm import Best, Part, best, dual_norm
 from rbfevo.scoring.representations import RBF, Representation
@@ -29,7 +29,7 @@ from rbfevo.scoring.threads import coarse, run_in_slices
 
 VALUE = 5e-7  # of G, by which its bound may lie above it: values of P_p, its square, then hold to 1e-6
 ROWS = 2048  # of a step over the vertices: in cache
-SAMPLE = 1500  # vertices on which a search begins without a start, if there are twice as many
+SAMPLE = 2000  # vertices on which a search begins without a start, if there are twice as many
 ALIKE = 1e-10  # of the largest eigenvalue of a Gram matrix: from a smaller one on, columns get a QR decomposition
 
 
@@ -100,7 +100,7 @@ class BoundedPotential:
             self.u = positive / positive.sum()
             self.a = self.u[:, None] * self.gradient
             self.a = self.a / self.a.abs().max().clamp_min(torch.finfo(self.a.dtype).tiny)
-            self.dual = dual_norm(self.a, self.u, self.p)
+            self.dual = dual_norm(self.a.mT, self.u, self.p)
         count = len(self.u)
         drawn = torch.randperm(count, generator=torch.Generator().manual_seed(0))[:SAMPLE]
         self._sample = drawn.sort().values if count >= 2 * SAMPLE else None
@@ -186,15 +186,15 @@ class BoundedPotential:
         return Optima(*(part if part is None else part.to(setups.device) for part in found))  # pyright: ignore[reportArgumentType]
 
     def _remembered(self, near: Tensor, shape: torch.Size) -> Tensor | None:
-        """The displacement [n, k] of a row of `Optima.near`; None where it is not finite."""
+        """The displacement [k, n] of a row of `Optima.near`; None where it is not finite."""
         setup, weights = near[: shape.numel()].view(shape), near[shape.numel() :].view(-1, self.a.shape[1])
         if not bool(torch.isfinite(setup).all()):
             return None
-        d = torch.zeros_like(self.a)
+        d = torch.zeros(self.a.mT.shape, dtype=self.a.dtype)
         for part in self._columns(setup):
             w = _taken(weights[:, part.components], part.rows)
             for these in self._steps():
-                d[these, part.components] = self._phi(part, these) @ w
+                d[part.components, these] = w.mT @ self._phi(part, these).mT
         return d if bool(torch.isfinite(d).all()) else None
 
     def _one(
@@ -211,7 +211,7 @@ class BoundedPotential:
             backs.append(found[1])
         if not any(one.basis.shape[1] for one in bases):
             return 0.0, weights, None, parts
-        optimum = best(bases, self.a, self.u, self.p, gap, start, self._sample)
+        optimum = best(bases, self.a.mT, self.u, self.p, gap, start, self._sample)
         if optimum is None:
             return 0.0, weights, None, parts
         for part, back, coordinates in zip(parts, backs, optimum.coordinates, strict=True):
@@ -245,16 +245,16 @@ class BoundedPotential:
     def _gradient(self, setup: Tensor, parts: list[_Columns], weights: Tensor, found: Best) -> Tensor:
         """Gradient [*setup] of P_p."""
         d = found.displacement
-        h = (self.u * d.square().sum(1) ** (0.5 * self.p - 1.0))[:, None] * d
-        field = self.a - found.gain * h
+        h = self.u * power(d.square().sum(0), 0.5 * self.p - 1.0) * d
+        field = self.a.mT - found.gain * h
         if self.blend is not None:
-            field = self.blend[:, None] * field
+            field = self.blend * field
         out = torch.zeros_like(setup)
         for part in parts:
             w = _taken(weights[:, part.components], part.rows)
             total = torch.zeros_like(part.setup)
             for these in self._steps():
-                dPhi = (w @ field[these, part.components].mT)[None]
+                dPhi = (w @ field[part.components, these])[None]
                 total += self._pull(part, self.vertices[these], dPhi)
             if part.rows is None:
                 out += total

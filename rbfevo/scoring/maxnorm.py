@@ -182,7 +182,7 @@ def along_line(squares: Any, cross: Any, own: Any, u: Any, p: float, gain: float
 
 
 def power(x: Any, exponent: float) -> Any:
-    """x^exponent of x >= 0, NumPy and torch alike; a whole exponent takes a few multiplications in place of a logarithm."""
+    """x^exponent of x >= 0, NumPy and torch alike: by a few multiplications where the exponent is whole."""
     whole = int(exponent)
     if whole != exponent or not 1 <= whole <= LARGEST_WHOLE:
         return x**exponent

@@ -40,7 +40,7 @@ class Part(NamedTuple):
 
 
 class Best(NamedTuple):
-    """Coordinates [r, c] in each part's basis of the best d with |d|_p = 1, d itself [n, k], a.d, and the passes."""
+    """Coordinates [r, c] in each part's basis of the best d with |d|_p = 1, d itself [k, n], a.d, and the passes."""
 
     coordinates: list[Tensor]
     displacement: Tensor
@@ -49,13 +49,17 @@ class Best(NamedTuple):
 
 
 def norm(d: Tensor, u: Tensor, p: float) -> float:
-    """|d|_p of d [n, k], weights u [n] of sum 1."""
-    return _root(d.square().sum(1), u, p)
+    """|d|_p of d [k, n], weights u [n] of sum 1."""
+    squares = d.square().sum(0)
+    largest = float(squares.max())
+    if not largest > 0.0:
+        return 1.0
+    return largest**0.5 * float(u @ power(squares / largest, 0.5 * p)) ** (1.0 / p)
 
 
 def dual_norm(a: Tensor, u: Tensor, p: float) -> float:
-    """The largest a.d of all d [n, k] with |d|_p = 1."""
-    return norm(a / u[:, None], u, p / (p - 1.0))
+    """The largest a.d of all d [k, n] with |d|_p = 1."""
+    return norm(a / u, u, p / (p - 1.0))
 
 
 def best(
@@ -71,24 +75,24 @@ def best(
 
     Args:
         parts: every component 0 .. k - 1 stands in one of them, unless nothing moves it.
-        a: [n, k], u: [n] of sum 1; p: at least 2.
+        a: [k, n], u: [n] of sum 1; p: at least 2.
         gap: by what share of the gain its bound may lie above it at the end; 0 to go on until d is known, too.
-        start: [n, k] a displacement that is near the best.
+        start: [k, n] a displacement that is near the best.
         sample: numbers of the vertices on which to begin without a start; passes over these alone are not counted.
     """
-    climb = _Climb(parts, u, a.shape[1])
+    climb = _Climb(parts, u, len(a))
     first = climb.linear = climb.pulled(a)  # the bases are orthonormal: for p = 2 this is the best
-    if not float(first @ first) > NOTHING * float((a.square() / u[:, None]).sum()):
+    if not float(first @ first) > NOTHING * float((a.square() / u).sum()):
         return None
     approach = [*stages(p), *[p] * PASSES]
-    near = None if start is None else climb.pulled(u[:, None] * start)
+    near = None if start is None else climb.pulled(u * start)
     if near is not None and climb.ratio(near, p) > climb.ratio(first, p):
         near, converged = climb.climbed(near, p, gap, [p] * NEAR, WARM)
         if converged:
             return climb.finished(near, p)
     if sample is not None:
         some = [Part(part.components, part.basis[sample]) for part in parts]
-        rough = _Climb(some, u[sample] / u[sample].sum(), a.shape[1], first)
+        rough = _Climb(some, u[sample] / u[sample].sum(), len(a), first)
         near, _ = rough.climbed(first, p, 0.0, approach[:NEAR], FAINT[1], ROUGH)
         if climb.ratio(near, p) > climb.ratio(first, p):
             near, converged = climb.climbed(near, p, gap, [p] * NEAR, WARM)
@@ -111,14 +115,14 @@ class _Climb:
         self.linear = torch.zeros(sum(self._sizes), dtype=u.dtype) if linear is None else linear
 
     def pulled(self, field: Tensor) -> Tensor:
-        """What each coordinate gains by a field [n, k]."""
-        return torch.cat([(field.mT[part.components] @ part.basis).flatten() for part in self.parts])
+        """What each coordinate gains by a field [k, n]."""
+        return torch.cat([(field[part.components] @ part.basis).flatten() for part in self.parts])
 
     def displaced(self, z: Tensor) -> Tensor:
-        """The displacement [n, k]."""
-        d = torch.zeros(len(self.u), self.k, dtype=z.dtype)
+        """The displacement [k, n]."""
+        d = torch.zeros(self.k, len(self.u), dtype=z.dtype)
         for part, coordinates in zip(self.parts, self._cut(z), strict=True):
-            d[:, part.components] = (coordinates.mT @ part.basis.mT).mT  # rows of few numbers are slow to make
+            d[part.components] = coordinates.mT @ part.basis.mT
         return d
 
     def _cut(self, z: Tensor) -> list[Tensor]:
@@ -166,28 +170,28 @@ class _Climb:
             Coordinates and displacement, the squared decrement before, and a bound of the gain, which is infinite where
             none is asked for or the step is long.
         """
-        squares, gain = d.square().sum(1), float(self.linear @ z)
+        squares, gain = d.square().sum(0), float(self.linear @ z)
         steepness = power(squares, 0.5 * p - 1.0)
         largest = float(steepness.max())
         weight = self.u * steepness
-        slope = self.linear / gain - self.pulled(weight[:, None] * d)  # of log(a.d / |d|_p)
+        slope = self.linear / gain - self.pulled(weight * d)  # of log(a.d / |d|_p)
         kept = torch.nonzero(steepness > faint * largest).flatten()
         stretch = (p - 2.0) * weight[kept] / squares[kept].clamp_min(torch.finfo(d.dtype).tiny)
         rest = (p - 1.0) * faint * largest
-        H = self._curvature(d[kept], kept, weight[kept], stretch)
+        H = self._curvature(d[:, kept], kept, weight[kept], stretch)
         H.diagonal().add_(rest)
         step = torch.cholesky_solve(slope[:, None], torch.linalg.cholesky(H))[:, 0]
         decrement = float(slope @ step)
         if not decrement > DONE:
             return z, d, 0.0, math.inf
         move, rise = self.displaced(step), float(self.linear @ step)
-        cross, own = (d * move).sum(1), move.square().sum(1)
+        cross, own = (d * move).sum(0), move.square().sum(0)
         along = along_line(squares, cross, own, self.u, p, gain, rise)
         share = flattest(along, math.log(gain), decrement)
         bound = math.inf
         if bounded and decrement <= CLOSE:
-            forces = weight[:, None] * d + rest * self.u[:, None] * move
-            forces[kept] += weight[kept, None] * move[kept] + (stretch * cross[kept])[:, None] * d[kept]
+            forces = weight * d + rest * self.u * move
+            forces[:, kept] += weight[kept] * move[:, kept] + stretch * cross[kept] * d[:, kept]
             bound = gain * dual_norm(forces, self.u, p)
         return z + share * step, d + share * move, decrement, bound
 
@@ -201,23 +205,16 @@ class _Climb:
                 pairs = [(c, e) for c in left.components for e in right.components if s != t or e <= c]
                 rows, columns = left.basis.shape[1], right.basis.shape[1]
                 sums = torch.zeros(rows, len(pairs) * columns, dtype=d.dtype)
+                local = [stretch * d[c] * d[e] + weight if c == e else stretch * d[c] * d[e] for c, e in pairs]
+                local = torch.stack(local, 1)[:, :, None]
                 for begin in range(0, len(kept), ROWS):
                     these = slice(begin, begin + ROWS)
-                    local = torch.stack([stretch[these] * d[these, c] * d[these, e] for c, e in pairs], 1)
-                    local += torch.stack([weight[these] * (c == e) for c, e in pairs], 1)
                     one = left.basis[kept[these]]
                     other = one if s == t else right.basis[kept[these]]
-                    sums.addmm_(one.mT, (local[:, :, None] * other[:, None, :]).flatten(1))
+                    sums.addmm_(one.mT, (local[these] * other[:, None, :]).flatten(1))
                 for (c, e), block in zip(pairs, sums.split(columns, 1), strict=True):
                     i = ends[s] + left.components.index(c) * rows
                     j = ends[t] + right.components.index(e) * columns
                     out[i : i + rows, j : j + columns] = block
                     out[j : j + columns, i : i + rows] = block.mT
         return out
-
-
-def _root(squares: Tensor, u: Tensor, p: float) -> float:
-    largest = float(squares.max())
-    if not largest > 0.0:
-        return 1.0
-    return largest**0.5 * float(u @ power(squares / largest, 0.5 * p)) ** (1.0 / p)
