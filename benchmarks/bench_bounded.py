@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from rbfevo.scenarios import face, plane
-from rbfevo.scoring.bounded import BoundedPotential, Optima
+from rbfevo.scoring.bounded import BoundedPotential
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.kernels import triharmonic, wendland
 from rbfevo.scoring.symmetric import evaluator_of
@@ -85,8 +85,8 @@ def main() -> None:
                     labels, errors, passes, ratios, strict=True
                 ):
                     print(
-                        f"| {name}, {kernel.name} | {milliseconds:.2f} | {label} | {value:.1f} ({most:.0f}), {slope:.1f} "
-                        f"| {cheap:.0f}, {dear:.0f} | {error:.0e} |",
+                        f"| {name}, {kernel.name} | {milliseconds:.2f} | {label} "
+                        f"| {value:.1f} ({most:.0f}), {slope:.1f} | {cheap:.0f}, {dear:.0f} | {error:.0e} |",
                         flush=True,
                     )
 

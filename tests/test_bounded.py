@@ -19,6 +19,7 @@ from rbfevo.scoring.bounded_evaluator import BoundedEvaluator
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.evolvability import evolvability
 from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.pnorm import Part, _Climb, norm
 from rbfevo.scoring.representations import RBF, Representation
 from rbfevo.scoring.symmetric import MirroredEvaluator
 
@@ -236,6 +237,60 @@ def test_a_sample_of_the_vertices_saves_passes_and_nothing_else(kernel: str) -> 
         expected = certified(bounded, maps(bounded, KERNELS["plane"][kernel], one))
         assert float(exact[i]) == pytest.approx(expected, rel=1e-9)
         assert -1e-6 <= float(found.values[i]) - expected <= 1e-10
+
+
+def climb_of(mirror: Mirror | None) -> tuple[_Climb, Tensor, Tensor]:
+    """A problem of three components, its basis [n, 3, r] written out, and a displacement's coordinates."""
+    bounded, C = potential("sphere", "wendland 1", mirror=mirror), setups("sphere", 1, 6, mirror is not None)
+    parts, pieces = [], []
+    for part in bounded._columns(C[0]):
+        found = bounded._basis(part)
+        assert found is not None
+        basis, back = found
+        torch.testing.assert_close(basis, bounded._phi(part, slice(None)) @ back, rtol=0, atol=1e-12)
+        gram = basis.mT @ (bounded.u[:, None] * basis)
+        torch.testing.assert_close(gram, torch.eye(len(gram), dtype=gram.dtype), rtol=0, atol=1e-10)
+        parts.append(Part(part.components, basis))
+        for c in part.components:
+            wide = torch.zeros(len(basis), 3, basis.shape[1], dtype=basis.dtype)
+            wide[:, c] = basis
+            pieces.append(wide)
+    climb = _Climb(parts, bounded.u, 3)
+    climb.linear = climb.pulled(bounded.a.mT)
+    return climb, torch.cat(pieces, 2), climb.linear
+
+
+@pytest.mark.parametrize("mirror", [None, MIRROR])
+def test_the_curvature_is_the_sum_over_the_vertices_that_count(mirror: Mirror | None) -> None:
+    climb, A, z = climb_of(mirror)
+    d, kept = climb.displaced(z), torch.arange(0, A.shape[0], 3)
+    torch.testing.assert_close(d.mT, A @ z, rtol=0, atol=1e-12)
+    weight, stretch = climb.u[kept] ** 2, climb.u[kept] + 1.0
+    local = weight[:, None, None] * torch.eye(3, dtype=z.dtype)
+    local = local + torch.einsum("n,cn,en->nce", stretch, d[:, kept], d[:, kept])
+    expected = torch.einsum("ncr,nce,nes->rs", A[kept], local, A[kept])
+    torch.testing.assert_close(climb._curvature(d[:, kept], kept, weight, stretch), expected, rtol=1e-10, atol=1e-12)
+
+
+@pytest.mark.parametrize("mirror", [None, MIRROR])
+@pytest.mark.parametrize("faint", [1e-8, 1e-4, 1e-2])
+def test_a_step_bounds_the_gain_and_leaves_out_faint_vertices(faint: float, mirror: Mirror | None) -> None:
+    climb, _, z = climb_of(mirror)
+    best, _ = climb.climbed(z, 16.0, 0.0, [4.0, 8.0, *[16.0] * 60], 1e-3, 1e-20)
+    gain, bounds = climb.ratio(best, 16.0), []
+    noise = torch.randn(len(best), generator=torch.Generator().manual_seed(0), dtype=best.dtype)
+    for size in (3e-3, 1e-3, 3e-4, 0.0):
+        z = best + size * best.norm() * noise / noise.norm()
+        d = climb.displaced(z)
+        length = norm(d, climb.u, 16.0)
+        after, _, decrement, bound = climb._pass(z / length, d / length, 16.0, faint, True)
+        assert bound >= gain * (1 - 1e-12)
+        assert decrement <= 1e-2
+        assert climb.ratio(z, 16.0) <= climb.ratio(after, 16.0) * (1 + 1e-12)
+        assert climb.ratio(after, 16.0) <= gain * (1 + 1e-12)
+        bounds.append(bound / gain - 1)
+    assert bounds[0] > bounds[2]
+    assert bounds[2] <= 1e-3
 
 
 def test_degenerate_setups_leave_the_others_alone() -> None:
