@@ -141,6 +141,59 @@ def _distance(a: list, b: list) -> Any:
     return mpmath.sqrt(sum((s - t) ** 2 for s, t in zip(a, b, strict=True)))
 
 
+def certified_potential(
+    blocks: list[tuple[list[int], np.ndarray]], gradient: np.ndarray, u: np.ndarray, p: float
+) -> tuple[float, float]:
+    """Bounds below and above of P_p: blocks of components and their columns of U, g [n, k], u of sum 1.
+
+    Below: a.d / |d|_p of one d in the span, found by damped Newton steps for |d|_p^p / p - a.d. Above: |h|_p* of one h
+    that gains what a does for every d in the span. Each holds however well d and h were found.
+    """
+    a, (n, k) = u[:, None] * gradient, gradient.shape
+    a = a / np.abs(a).max()
+    pieces = []
+    for components, U in blocks:
+        left, sigma, _ = np.linalg.svd(np.sqrt(u)[:, None] * U, full_matrices=False)
+        left = left[:, sigma > n * EPS * sigma[0]] / np.sqrt(u)[:, None]
+        for c in components:
+            wide = np.zeros((n, k, left.shape[1]))
+            wide[:, c] = left
+            pieces.append(wide)
+    A = np.concatenate(pieces, axis=2)
+    b = np.einsum("nkr,nk->r", A, a)
+    star = p / (p - 1)
+
+    def loss(z: np.ndarray, q: float) -> float:
+        with np.errstate(over="ignore"):  # of a step that is far too long
+            return float((u * np.linalg.norm(A @ z, axis=1) ** q).sum() / q - b @ z)
+
+    z = b
+    for q in [q for q in (2.0, 4.0, 8.0, 16.0, 24.0, 32.0, 48.0) if q < p] + [p]:
+        z = z * ((b @ z) / (u * np.linalg.norm(A @ z, axis=1) ** q).sum()) ** (1 / (q - 1))  # the best on its ray
+        for _ in range(200):
+            d = A @ z
+            lengths = np.linalg.norm(d, axis=1)
+            weight = u * lengths ** (q - 2)
+            slope = np.einsum("nkr,nk->r", A, weight[:, None] * d) - b
+            along = np.einsum("nkr,nk->nr", A, d / np.where(lengths > 0, lengths, 1)[:, None])
+            H = np.einsum("nkr,n,nks->rs", A, weight, A, optimize=True) + (q - 2) * (along.T * weight) @ along
+            step = np.linalg.solve(H + 1e-14 * np.trace(H) * np.eye(len(z)), -slope)
+            share, before, fall = 1.0, loss(z, q), slope @ step
+            while share > 1e-9 and not loss(z + share * step, q) <= before + 1e-4 * share * fall + 1e-15 * abs(before):
+                share /= 2
+            z = z + share * step
+            if -fall <= 1e-26 * abs(before):
+                break
+    d = A @ z
+    lengths = np.linalg.norm(d, axis=1)
+    below = (b @ z) / (u * lengths**p).sum() ** (1 / p)
+    h = (u * lengths ** (p - 2))[:, None] * d
+    h = h + u[:, None] * (A @ (b - np.einsum("nkr,nk->r", A, h)))  # the columns of A are orthonormal where u counts
+    assert np.abs(np.einsum("nkr,nk->r", A, h) - b).max() <= 1e-12 * np.abs(b).max()
+    above, most = ((u * np.linalg.norm(f / u[:, None], axis=1) ** star).sum() ** (1 / star) for f in (h, a))
+    return (below / most) ** 2, (above / most) ** 2
+
+
 def scipy_potential(blocks: list[tuple[list[int], np.ndarray]], gradient: np.ndarray, u: np.ndarray, p: float) -> float:
     """P_p by its formula and SciPy's BFGS: blocks of components and their columns of U, g [n, k], u of sum 1."""
     a, roots, (n, k) = u[:, None] * gradient, np.sqrt(u)[:, None], gradient.shape

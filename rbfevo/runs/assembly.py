@@ -179,7 +179,7 @@ class Parts:
         if self.norm == 2.0:
             return rows.scores
         bounded = self._bounded(self.scenario)
-        found = bounded.definition(rows.centers) if self.defined else bounded.values(rows.centers)
+        found = bounded.definition(rows.centers) if self.defined else bounded.values(rows.centers, gap=0.0)
         lost = rows.scores.failed | ~torch.isfinite(found)
         return rows.scores._replace(improvement_potential=torch.where(lost, 0.0, found))
 

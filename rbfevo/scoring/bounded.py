@@ -21,14 +21,16 @@ from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.scoring.evolvability import cutoff
 from rbfevo.scoring.kernels import Kernel
-from rbfevo.scoring.maxnorm import Block, best_displacement
+from rbfevo.scoring.maxnorm import Block, best_displacement, power
 from rbfevo.scoring.maxnorm import dual_norm as dual_norm_of
 from rbfevo.scoring.pnorm import Best, Part, best, dual_norm
 from rbfevo.scoring.representations import RBF, Representation
 from rbfevo.scoring.threads import coarse, run_in_slices
 
-VALUE, GRADIENT = 1e-6, 1e-9  # squared decrements before the last pass: values then hold to 1e-7, gradients to 1e-6
-ROWS = 2048  # of a step of the gradient
+VALUE = 5e-7  # of G, by which its bound may lie above it: values of P_p, its square, then hold to 1e-6
+ROWS = 2048  # of a step over the vertices: in cache
+SAMPLE = 2000  # vertices on which a search begins without a start, if there are twice as many
+ALIKE = 1e-10  # of the largest eigenvalue of a Gram matrix: from a smaller one on, columns get a QR decomposition
 
 
 class Optima(NamedTuple):
@@ -36,16 +38,19 @@ class Optima(NamedTuple):
 
     Attributes:
         values: [p] P_p, maximized; NaN where a setup is not finite, 0 where nothing in reach gains anything.
-        weights: [p, r, k] w of the best displacement Phi w, of unit p-norm; a start for similar setups. Those of a
-            symmetric setup have the component across the plane in its own column, 0 for centers on the plane.
+        weights: [p, r, k] w of the best displacement Phi w, of unit p-norm. Those of a symmetric setup have the
+            component across the plane in its own column, 0 for centers on the plane.
         gradients: [p, *setup] of P_p in the setups, or None; 0 where there is none.
         passes: [p] passes over the vertices, each with an assembly of the curvature.
+        near: [p, s + r k] the numbers of each setup and its weights, a start for similar setups: weights alone mean
+            another displacement where columns nearly cancel.
     """
 
     values: Tensor
     weights: Tensor
     gradients: Tensor | None
     passes: Tensor
+    near: Tensor
 
 
 class _Columns(NamedTuple):
@@ -95,15 +100,18 @@ class BoundedPotential:
             self.u = positive / positive.sum()
             self.a = self.u[:, None] * self.gradient
             self.a = self.a / self.a.abs().max().clamp_min(torch.finfo(self.a.dtype).tiny)
-            self.dual = dual_norm(self.a, self.u, self.p)
+            self.dual = dual_norm(self.a.mT, self.u, self.p)
+        count = len(self.u)
+        drawn = torch.randperm(count, generator=torch.Generator().manual_seed(0))[:SAMPLE]
+        self._sample = drawn.sort().values if count >= 2 * SAMPLE else None
         self._pair = None if mirror is None else self.representation.symmetric(mirror)
         if mirror is not None and self._pair is None:
             raise UserError(f"scenario.symmetry: representation={self.representation.name} has no symmetric setups")
         self.evaluations = self.passes = 0
 
-    def values(self, setups: Tensor, start: Tensor | None = None) -> Tensor:
-        """P_p [p] of setups [p, *setup], to 1e-7; `start` as for `optima`."""
-        return self.optima(setups, start).values
+    def values(self, setups: Tensor, start: Tensor | None = None, gap: float = VALUE) -> Tensor:
+        """P_p [p] of setups [p, *setup], to 1e-6 unless `gap` says otherwise; arguments as for `optima`."""
+        return self.optima(setups, start, gap=gap).values
 
     def values_and_gradients(self, setups: Tensor, start: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """P_p [p] of setups [p, *setup] and its gradients [p, *setup] in them."""
@@ -115,7 +123,7 @@ class BoundedPotential:
 
         It starts from the fast optimum and goes on until the condition of the maximum holds to rounding.
         """
-        known = self.optima(setups, gradients=True)
+        known = self.optima(setups, gap=0.0)
         values, u, a = known.values.clone(), self.u.numpy(), self.a.numpy()
         for i in torch.nonzero(known.values > 0).flatten().tolist():
             parts = self._columns(setups[i].detach().cpu().to(self.vertices.dtype))
@@ -135,12 +143,15 @@ class BoundedPotential:
         return values
 
     @torch.no_grad()
-    def optima(self, setups: Tensor, start: Tensor | None = None, gradients: bool = False) -> Optima:
+    def optima(
+        self, setups: Tensor, start: Tensor | None = None, gradients: bool = False, gap: float = VALUE
+    ) -> Optima:
         """P_p and the best displacements of setups [p, *setup]; each depends on its own setup and start alone.
 
         Args:
-            start: [p, r, k] `weights` of similar setups, or None; they save passes and change P_p by rounding alone.
+            start: [p, s + r k] `near` of similar setups, or None; they save passes and change P_p within its accuracy.
             gradients: compute gradients too, for which the optimum has to be known better.
+            gap: by what share of G its bound may lie above it without gradients; 0 for values to rounding.
         """
         count, m = len(setups), self.representation.columns(setups)
         flat = setups.detach().cpu().to(self.vertices.dtype)
@@ -153,8 +164,8 @@ class BoundedPotential:
                 setup = flat[i].clone()
                 if not bool(torch.isfinite(setup).all()):
                     continue
-                near = None if start is None else start[i].cpu()
-                found = self._one(setup, near, GRADIENT if gradients else VALUE)
+                near = None if start is None else self._remembered(start[i].cpu().to(setup.dtype), setup.shape)
+                found = self._one(setup, near, 0.0 if gradients else gap)
                 if found is None:
                     continue
                 value, weights[i], best_one, parts = found
@@ -170,50 +181,80 @@ class BoundedPotential:
         self.passes += int(passes.sum())
         sound = torch.isfinite(slopes).flatten(1).all(1)
         slopes = torch.where(sound.view(-1, *(1,) * (slopes.ndim - 1)), slopes, 0.0)
-        found = (values, weights, slopes if gradients else None, passes)
+        near = torch.cat((flat.flatten(1), weights.flatten(1)), dim=1)
+        found = (values, weights, slopes if gradients else None, passes, near)
         return Optima(*(part if part is None else part.to(setups.device) for part in found))  # pyright: ignore[reportArgumentType]
 
+    def _remembered(self, near: Tensor, shape: torch.Size) -> Tensor | None:
+        """The displacement [k, n] of a row of `Optima.near`; None where it is not finite."""
+        setup, weights = near[: shape.numel()].view(shape), near[shape.numel() :].view(-1, self.a.shape[1])
+        if not bool(torch.isfinite(setup).all()):
+            return None
+        d = torch.zeros(self.a.mT.shape, dtype=self.a.dtype)
+        for part in self._columns(setup):
+            w = _taken(weights[:, part.components], part.rows)
+            for these in self._steps():
+                d[part.components, these] = w.mT @ self._phi(part, these).mT
+        return d if bool(torch.isfinite(d).all()) else None
+
     def _one(
-        self, setup: Tensor, start: Tensor | None, tolerance: float
+        self, setup: Tensor, start: Tensor | None, gap: float
     ) -> tuple[float, Tensor, Best | None, list[_Columns]] | None:
         """P_p of one finite setup, weights [r, k], the optimum, and the columns; None where Phi is not finite."""
-        n, parts, bases, backs = len(self.vertices), self._columns(setup), [], []
+        parts, bases, backs = self._columns(setup), [], []
         weights = torch.zeros(self.representation.columns(setup[None]), self.a.shape[1], dtype=setup.dtype)
-        near = None if start is None else torch.zeros_like(self.a)
-        roots = self.u.sqrt()[:, None]
         for part in parts:
-            Phi = self._phi(part)
-            if not bool(torch.isfinite(Phi).all()):
+            found = self._basis(part)
+            if found is None:
                 return None
-            if near is not None and start is not None:
-                near[:, part.components] = Phi @ _taken(start[:, part.components], part.rows)
-            Q, R = torch.linalg.qr(roots * Phi)
-            left, sigma, right = torch.linalg.svd(R)
-            kept = sigma > cutoff(n, Phi.shape[1]) * sigma[0]
-            count = int(kept.sum())
-            bases.append(Part(part.components, (Q @ left[:, :count]) / roots))
-            backs.append(right[:count].mT / sigma[:count])
-        found = best(bases, self.a, self.u, self.p, tolerance, near) if any(b.basis.shape[1] for b in bases) else None
-        if found is None:
+            bases.append(Part(part.components, found[0]))
+            backs.append(found[1])
+        if not any(one.basis.shape[1] for one in bases):
             return 0.0, weights, None, parts
-        for part, back, coordinates in zip(parts, backs, found.coordinates, strict=True):
+        optimum = best(bases, self.a.mT, self.u, self.p, gap, start, self._sample)
+        if optimum is None:
+            return 0.0, weights, None, parts
+        for part, back, coordinates in zip(parts, backs, optimum.coordinates, strict=True):
             _put(weights, part, back @ coordinates)
-        return min((found.gain / self.dual) ** 2, 1.0), weights, found, parts
+        return min((optimum.gain / self.dual) ** 2, 1.0), weights, optimum, parts
+
+    def _basis(self, part: _Columns) -> tuple[Tensor, Tensor] | None:
+        """A basis B = Phi T [n, r] that is orthonormal where rows count with u, and T; None where Phi is not finite.
+
+        It comes from the Gram matrix, and where that is ill-conditioned from a QR decomposition.
+        """
+        n, m = len(self.u), part.representation.columns(part.setup[None])
+        Phi, G = torch.empty(n, m, dtype=self.u.dtype), torch.zeros(m, m, dtype=self.u.dtype)
+        for these in self._steps():
+            rows = Phi[these] = self._phi(part, these)
+            G.addmm_(rows.mT, self.u[these, None] * rows)
+        if not bool(torch.isfinite(G).all()):
+            return None
+        eigenvalues, vectors = torch.linalg.eigh(G)
+        if float(eigenvalues[0]) > ALIKE * float(eigenvalues[-1]):
+            back = vectors / eigenvalues.sqrt()
+            for these in self._steps():
+                Phi[these] = Phi[these] @ back
+            return Phi, back
+        roots = self.u.sqrt()[:, None]
+        Q, R = torch.linalg.qr(roots * Phi)
+        left, sigma, right = torch.linalg.svd(R)
+        count = int((sigma > cutoff(n, m) * sigma[0]).sum())
+        return (Q @ left[:, :count]) / roots, right[:count].mT / sigma[:count]
 
     def _gradient(self, setup: Tensor, parts: list[_Columns], weights: Tensor, found: Best) -> Tensor:
         """Gradient [*setup] of P_p."""
         d = found.displacement
-        h = (self.u * d.square().sum(1) ** (0.5 * self.p - 1.0))[:, None] * d
-        field = self.a - found.gain * h
+        h = self.u * power(d.square().sum(0), 0.5 * self.p - 1.0) * d
+        field = self.a.mT - found.gain * h
         if self.blend is not None:
-            field = self.blend[:, None] * field
+            field = self.blend * field
         out = torch.zeros_like(setup)
         for part in parts:
             w = _taken(weights[:, part.components], part.rows)
             total = torch.zeros_like(part.setup)
-            for begin in range(0, len(d), ROWS):
-                these = slice(begin, begin + ROWS)
-                dPhi = (w @ field[these, part.components].mT)[None]
+            for these in self._steps():
+                dPhi = (w @ field[part.components, these])[None]
                 total += self._pull(part, self.vertices[these], dPhi)
             if part.rows is None:
                 out += total
@@ -242,10 +283,14 @@ class BoundedPotential:
             found.append(_Columns([axis], self._pair[1], setup[off], off))
         return found
 
-    def _phi(self, part: _Columns) -> Tensor:
-        """Phi [n, r] times the blend."""
-        phi = part.representation.phi(self.vertices, part.setup)
-        return phi if self.blend is None else self.blend[:, None] * phi
+    def _phi(self, part: _Columns, these: slice) -> Tensor:
+        """Rows of Phi [q, r] times the blend."""
+        phi = part.representation.phi(self.vertices[these], part.setup)
+        return phi if self.blend is None else self.blend[these, None] * phi
+
+    def _steps(self) -> list[slice]:
+        """Slices of the vertices."""
+        return [slice(begin, begin + ROWS) for begin in range(0, len(self.u), ROWS)]
 
 
 def _taken(weights: Tensor, rows: Tensor | None) -> Tensor:

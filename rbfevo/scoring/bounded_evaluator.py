@@ -76,7 +76,7 @@ class BoundedSpectrum(Spectrum):
     """`Spectrum` with P_p in the place of P.
 
     Attributes:
-        near: [p, r, k] from where the optima of similar setups are found in fewer passes.
+        near: [p, s + r k] from where the optima of similar setups are found in fewer passes.
     """
 
     @torch.no_grad()
@@ -88,7 +88,7 @@ class BoundedSpectrum(Spectrum):
         self.sigma, self.regular = plain.sigma, plain.regular
         found = evaluator.bounded.optima(centers.detach(), start, gradients=True)
         finite = torch.isfinite(found.values)
-        self.near = found.weights
+        self.near = found.near
         self.improvable = plain.improvable & finite
         self.potential = torch.where(finite, found.values, 0.0)
         self._gradients = found.gradients

@@ -40,6 +40,7 @@ FLAT = 0.05  # of the slope at the start of a line: where the search along it en
 SOFT = 0.1  # of the logarithm of the ratio: a slope that could change it by much less at t is flat, too
 ROUNDING = 1e-13  # of the logarithm of the ratio
 TRIALS = 60  # of a search along a line
+LARGEST_WHOLE = 64  # exponent for which multiplications are no worse than x^exponent
 
 
 class Block(NamedTuple):
@@ -172,12 +173,27 @@ def along_line(squares: Any, cross: Any, own: Any, u: Any, p: float, gain: float
             return -math.inf, -math.inf
         there = (squares + t * (2.0 * cross + t * own)).clip(min=0.0)
         largest = float(there.max())
-        powers = u * (there / largest) ** (0.5 * p - 1.0)
+        powers = u * power(there / largest, 0.5 * p - 1.0)
         total = float(powers @ there)
         value = math.log(gain + t * rise) - 0.5 * math.log(largest) - math.log(total / largest) / p
         return value, rise / (gain + t * rise) - float(powers @ (cross + t * own)) / total
 
     return along
+
+
+def power(x: Any, exponent: float) -> Any:
+    """x^exponent of x >= 0, NumPy and torch alike: by a few multiplications where the exponent is whole."""
+    whole = int(exponent)
+    if whole != exponent or not 1 <= whole <= LARGEST_WHOLE:
+        return x**exponent
+    found = None
+    while True:
+        if whole & 1:
+            found = x if found is None else found * x
+        whole >>= 1
+        if not whole:
+            return found
+        x = x * x
 
 
 def flattest(along: Along, value: float, first: float) -> float:

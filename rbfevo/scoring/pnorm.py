@@ -1,6 +1,12 @@
 """The displacement that gains most for its p-norm, fast: the method of `rbfevo.scoring.maxnorm`, in torch.
 
 One setup at a time, float64, on the calling thread; beside the columns nothing is stored but a few numbers a vertex.
+
+Three things make it fast. A vertex counts in the curvature by |d_i|^(p-2), which is next to nothing where d is small:
+such vertices are left out, and a multiple of the identity that bounds what they add takes their place. It is large far
+from the optimum, where it keeps steps short, and falls with them. Where nothing better is known the search begins on a
+sample of the vertices. And a step comes with a bound of the gain: forces h at the vertices that gain what a does for
+every d in the span give a.d = h.d <= |h|_p* |d|_p. When bound and gain agree, the search is over.
 """
 
 from __future__ import annotations
@@ -12,9 +18,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rbfevo.scoring.maxnorm import DAMPING, DONE, FAINT, LEAST, NEAR, NOTHING, PASSES, along_line, flattest, stages
+from rbfevo.scoring.maxnorm import DONE, NEAR, NOTHING, PASSES, along_line, flattest, power, stages
 
-ROWS = 2048  # of a step of the curvature: in cache
+ROWS = 1024  # of a step of the curvature: in cache
+FAINT = (1e-8, 1e-3)  # least and largest share of the largest |d_i|^(p-2) below which a vertex is left out
+FALL = 1e-3  # that share over the squared decrement of the pass before
+WARM = 1e-6  # that share in the first pass from near the optimum
+ROUGH = 1e-4  # the squared decrement before the last pass on a sample
+CLOSE = 1e-2  # the squared decrement below which a bound is worth its powers
+SURE = 1e-11  # the squared decrement before the last pass: gradients then hold to some 1e-6
 
 
 class Part(NamedTuple):
@@ -28,7 +40,7 @@ class Part(NamedTuple):
 
 
 class Best(NamedTuple):
-    """Coordinates [r, c] in each part's basis of the best d with |d|_p = 1, d itself [n, k], a.d, and the passes."""
+    """Coordinates [r, c] in each part's basis of the best d with |d|_p = 1, d itself [k, n], a.d, and the passes."""
 
     coordinates: list[Tensor]
     displacement: Tensor
@@ -37,65 +49,85 @@ class Best(NamedTuple):
 
 
 def norm(d: Tensor, u: Tensor, p: float) -> float:
-    """|d|_p of d [n, k], weights u [n] of sum 1."""
-    return _root(d.square().sum(1), u, p)
+    """|d|_p of d [k, n], weights u [n] of sum 1."""
+    squares = d.square().sum(0)
+    largest = float(squares.max())
+    if not largest > 0.0:
+        return 1.0
+    return largest**0.5 * float(u @ power(squares / largest, 0.5 * p)) ** (1.0 / p)
 
 
 def dual_norm(a: Tensor, u: Tensor, p: float) -> float:
-    """The largest a.d of all d [n, k] with |d|_p = 1."""
-    return norm(a / u[:, None], u, p / (p - 1.0))
+    """The largest a.d of all d [k, n] with |d|_p = 1."""
+    return norm(a / u, u, p / (p - 1.0))
 
 
 def best(
-    parts: Sequence[Part], a: Tensor, u: Tensor, p: float, tolerance: float, start: Tensor | None = None
+    parts: Sequence[Part],
+    a: Tensor,
+    u: Tensor,
+    p: float,
+    gap: float = 0.0,
+    start: Tensor | None = None,
+    sample: Tensor | None = None,
 ) -> Best | None:
     """The displacement in the span of some parts that maximizes a.d for |d|_p = 1; None where nothing gains anything.
 
     Args:
         parts: every component 0 .. k - 1 stands in one of them, unless nothing moves it.
-        a: [n, k], u: [n] of sum 1; p: at least 2.
-        tolerance: of the squared Newton decrement before the last pass, twice the relative error of the gain then.
-        start: [n, k] a displacement in the span that is near the best.
+        a: [k, n], u: [n] of sum 1; p: at least 2.
+        gap: by what share of the gain its bound may lie above it at the end; 0 to go on until d is known, too.
+        start: [k, n] a displacement that is near the best.
+        sample: numbers of the vertices on which to begin without a start; passes over these alone are not counted.
     """
-    climb = _Climb(parts, a, u)
-    z = climb.linear  # the bases are orthonormal: for p = 2 this is the best
-    if not float(z @ z) > NOTHING * float((a.square() / u[:, None]).sum()):
+    climb = _Climb(parts, u, len(a))
+    first = climb.linear = climb.pulled(a)  # the bases are orthonormal: for p = 2 this is the best
+    if not float(first @ first) > NOTHING * float((a.square() / u).sum()):
         return None
-    passes = 0
-    if start is not None:
-        near = climb.pulled(u[:, None] * start)
-        if climb.ratio(near, p) > climb.ratio(z, p):
-            found, passes, converged = climb.climbed(near, p, tolerance, [p] * NEAR)
+    approach = [*stages(p), *[p] * PASSES]
+    near = None if start is None else climb.pulled(u * start)
+    if near is not None and climb.ratio(near, p) > climb.ratio(first, p):
+        near, converged = climb.climbed(near, p, gap, [p] * NEAR, WARM)
+        if converged:
+            return climb.finished(near, p)
+    if sample is not None:
+        some = [Part(part.components, part.basis[sample]) for part in parts]
+        rough = _Climb(some, u[sample] / u[sample].sum(), len(a), first)
+        near, _ = rough.climbed(first, p, 0.0, approach[:NEAR], FAINT[1], ROUGH)
+        if climb.ratio(near, p) > climb.ratio(first, p):
+            near, converged = climb.climbed(near, p, gap, [p] * NEAR, WARM)
             if converged:
-                return climb.finished(found, p, passes)
-    found, count, _ = climb.climbed(z, p, tolerance, [*stages(p), *[p] * PASSES])
-    return climb.finished(found, p, passes + count)
+                return climb.finished(near, p)
+    return climb.finished(climb.climbed(first, p, gap, approach, FAINT[1])[0], p)
 
 
 class _Climb:
-    """One problem; coordinates of all parts and components lie one behind the other: component by component."""
+    """One problem; coordinates of all parts and components lie one behind the other: component by component.
 
-    def __init__(self, parts: Sequence[Part], a: Tensor, u: Tensor) -> None:
-        self.parts, self.u, self.shape = parts, u, a.shape
-        self.columns = [(c, part.basis) for part in parts for c in part.components]
-        self.sizes = [basis.shape[1] for _, basis in self.columns]
-        self.linear = self.pulled(a)
+    Args:
+        parts: of which the columns are; u: [n] of sum 1; k: components of a displacement.
+        linear: what each coordinate gains.
+    """
+
+    def __init__(self, parts: Sequence[Part], u: Tensor, k: int, linear: Tensor | None = None) -> None:
+        self.parts, self.u, self.k, self.passes = parts, u, k, 0
+        self._sizes = [part.basis.shape[1] * len(part.components) for part in parts]
+        self.linear = torch.zeros(sum(self._sizes), dtype=u.dtype) if linear is None else linear
 
     def pulled(self, field: Tensor) -> Tensor:
-        """What each coordinate gains by a field [n, k]."""
-        return torch.cat([(part.basis.mT @ field[:, part.components]).mT.flatten() for part in self.parts])
+        """What each coordinate gains by a field [k, n]."""
+        return torch.cat([(field[part.components] @ part.basis).flatten() for part in self.parts])
 
     def displaced(self, z: Tensor) -> Tensor:
-        """The displacement [n, k]."""
-        d = torch.zeros(self.shape, dtype=z.dtype)
+        """The displacement [k, n]."""
+        d = torch.zeros(self.k, len(self.u), dtype=z.dtype)
         for part, coordinates in zip(self.parts, self._cut(z), strict=True):
-            d[:, part.components] = part.basis @ coordinates
+            d[part.components] = coordinates.mT @ part.basis.mT
         return d
 
     def _cut(self, z: Tensor) -> list[Tensor]:
         """The coordinates [r, c] in each part's basis."""
-        sizes = [part.basis.shape[1] * len(part.components) for part in self.parts]
-        pieces = zip(self.parts, z.split(sizes), strict=True)
+        pieces = zip(self.parts, z.split(self._sizes), strict=True)
         return [piece.unflatten(0, (len(part.components), -1)).mT for part, piece in pieces]
 
     def ratio(self, z: Tensor, p: float) -> float:
@@ -103,73 +135,86 @@ class _Climb:
         gain = float(self.linear @ z)
         return gain / norm(self.displaced(z), self.u, p) if gain > 0.0 else 0.0
 
-    def finished(self, z: Tensor, p: float, passes: int) -> Best:
+    def finished(self, z: Tensor, p: float) -> Best:
         """The result, scaled to |d|_p = 1."""
         d = self.displaced(z)
         size = norm(d, self.u, p)
         z, d = z / size, d / size
-        return Best(self._cut(z), d, float(self.linear @ z), passes)
+        return Best(self._cut(z), d, float(self.linear @ z), self.passes)
 
-    def climbed(self, z: Tensor, p: float, tolerance: float, plan: Sequence[float]) -> tuple[Tensor, int, bool]:
-        """The coordinates after a pass for each p of a plan, how many there were, and whether they have converged."""
+    def climbed(
+        self, z: Tensor, p: float, gap: float, plan: Sequence[float], faint: float, sure: float = SURE
+    ) -> tuple[Tensor, bool]:
+        """The coordinates after a pass for each p of a plan, or fewer that are enough, and whether they were.
+
+        Args:
+            z: where to begin; p, gap: as of `best`.
+            faint: share of the largest |d_i|^(p-2) below which vertices are left out first.
+            sure: the squared decrement before the last pass.
+        """
         d = self.displaced(z)
-        for count, q in enumerate(plan, 1):
-            size = norm(d, self.u, q)
-            z, d, decrement = self._pass(z / size, d / size, q)
-            if q == p and decrement <= tolerance:
-                return z, count, True
-        return z, len(plan), False
+        size = norm(d, self.u, plan[0])
+        for q, following in zip(plan, [*plan[1:], p], strict=True):
+            z, d, decrement, bound = self._pass(z / size, d / size, q, faint, gap > 0.0 and q == p)
+            self.passes += 1
+            size = norm(d, self.u, following)
+            if q == p and (decrement <= sure or bound <= (1.0 + gap) * float(self.linear @ z) / size):
+                return z, True
+            faint = min(max(FALL * decrement, FAINT[0]), FAINT[1])
+        return z, False
 
-    def _pass(self, z: Tensor, d: Tensor, p: float) -> tuple[Tensor, Tensor, float]:
-        """One Newton direction from z with |d|_p = 1, followed to the best along it; the squared decrement before."""
-        squares, gain = d.square().sum(1), float(self.linear @ z)
-        weight = self.u * squares ** (0.5 * p - 1.0)
-        slope = self.linear / gain - self.pulled(weight[:, None] * d)  # of log(a.d / |d|_p)
-        least = FAINT * float((weight / self.u).max())
-        step = _solve(self._curvature(d, squares, weight.maximum(least * self.u), p), slope)
+    def _pass(self, z: Tensor, d: Tensor, p: float, faint: float, bounded: bool) -> tuple[Tensor, Tensor, float, float]:
+        """One Newton direction from z with |d|_p = 1, followed to the best along it.
+
+        Returns:
+            Coordinates and displacement, the squared decrement before, and a bound of the gain, which is infinite where
+            none is asked for or the step is long.
+        """
+        squares, gain = d.square().sum(0), float(self.linear @ z)
+        steepness = power(squares, 0.5 * p - 1.0)
+        largest = float(steepness.max())
+        weight = self.u * steepness
+        slope = self.linear / gain - self.pulled(weight * d)  # of log(a.d / |d|_p)
+        kept = torch.nonzero(steepness > faint * largest).flatten()
+        stretch = (p - 2.0) * weight[kept] / squares[kept].clamp_min(torch.finfo(d.dtype).tiny)
+        rest = (p - 1.0) * faint * largest
+        H = self._curvature(d[:, kept], kept, weight[kept], stretch)
+        H.diagonal().add_(rest)
+        step = torch.cholesky_solve(slope[:, None], torch.linalg.cholesky(H))[:, 0]
         decrement = float(slope @ step)
         if not decrement > DONE:
-            return z, d, 0.0
+            return z, d, 0.0, math.inf
         move, rise = self.displaced(step), float(self.linear @ step)
-        cross, own = (d * move).sum(1), move.square().sum(1)
+        cross, own = (d * move).sum(0), move.square().sum(0)
         along = along_line(squares, cross, own, self.u, p, gain, rise)
         share = flattest(along, math.log(gain), decrement)
-        return z + share * step, d + share * move, decrement
+        bound = math.inf
+        if bounded and decrement <= CLOSE:
+            forces = weight * d + rest * self.u * move
+            forces[:, kept] += weight[kept] * move[:, kept] + stretch * cross[kept] * d[:, kept]
+            bound = gain * dual_norm(forces, self.u, p)
+        return z + share * step, d + share * move, decrement, bound
 
-    def _curvature(self, d: Tensor, squares: Tensor, weight: Tensor, p: float) -> Tensor:
-        """Sum_i w_i B_i^T (I + (p - 2) e_i e_i^T) B_i with e = d / |d|."""
-        scaled = (p - 2.0) * weight / squares.clamp_min(torch.finfo(d.dtype).tiny)
-        out = torch.zeros(sum(self.sizes), sum(self.sizes), dtype=d.dtype)
-        places = [0, *torch.tensor(self.sizes).cumsum(0).tolist()]
-        for i, (c, left) in enumerate(self.columns):
-            for j, (e, right) in enumerate(self.columns[: i + 1]):
-                factor = scaled * d[:, c] * d[:, e]
-                if i == j:
-                    factor = factor + weight
-                rows, columns = slice(places[i], places[i + 1]), slice(places[j], places[j + 1])
-                block = out[rows, columns]
-                for begin in range(0, len(d), ROWS):
+    def _curvature(self, d: Tensor, kept: Tensor, weight: Tensor, stretch: Tensor) -> Tensor:
+        """Sum_i B_i^T (weight_i I + stretch_i d_i d_i^T) B_i over the vertices of the numbers `kept`."""
+        total = sum(self._sizes)
+        out = torch.zeros(total, total, dtype=d.dtype)
+        ends = torch.tensor([0, *self._sizes]).cumsum(0).tolist()
+        for s, left in enumerate(self.parts):
+            for t, right in enumerate(self.parts[: s + 1]):
+                pairs = [(c, e) for c in left.components for e in right.components if s != t or e <= c]
+                rows, columns = left.basis.shape[1], right.basis.shape[1]
+                sums = torch.zeros(rows, len(pairs) * columns, dtype=d.dtype)
+                local = [stretch * d[c] * d[e] + weight if c == e else stretch * d[c] * d[e] for c, e in pairs]
+                local = torch.stack(local, 1)[:, :, None]
+                for begin in range(0, len(kept), ROWS):
                     these = slice(begin, begin + ROWS)
-                    block += left[these].mT @ (factor[these, None] * right[these])
-                if i != j:
-                    out[columns, rows] = block.mT
+                    one = left.basis[kept[these]]
+                    other = one if s == t else right.basis[kept[these]]
+                    sums.addmm_(one.mT, (local[these] * other[:, None, :]).flatten(1))
+                for (c, e), block in zip(pairs, sums.split(columns, 1), strict=True):
+                    i = ends[s] + left.components.index(c) * rows
+                    j = ends[t] + right.components.index(e) * columns
+                    out[i : i + rows, j : j + columns] = block
+                    out[j : j + columns, i : i + rows] = block.mT
         return out
-
-
-def _root(squares: Tensor, u: Tensor, p: float) -> float:
-    largest = float(squares.max())
-    if not largest > 0.0:
-        return 1.0
-    return largest**0.5 * float(u @ (squares / largest) ** (0.5 * p)) ** (1.0 / p)
-
-
-def _solve(H: Tensor, b: Tensor) -> Tensor:
-    """H^-1 b of a curvature H, scaled to a diagonal of ones and damped."""
-    diagonal = H.diagonal()
-    scale = diagonal.clamp_min(LEAST * max(float(diagonal.max()), 1e-300)).rsqrt()
-    scaled = H * scale[:, None] * scale
-    for damping in DAMPING:
-        L, info = torch.linalg.cholesky_ex(scaled + damping * torch.eye(len(H), dtype=H.dtype))
-        if int(info) == 0:
-            return scale * torch.cholesky_solve((scale * b)[:, None], L)[:, 0]
-    return scale * (scale * b)
