@@ -51,7 +51,7 @@ def test_a_nested_sequence_takes_what_raises_bounded_potential_most(p: float, he
     expected: list[int] = []
     for _ in range(3):
         setups = torch.stack([torch.stack([grid[i] for i in (*expected, c)]) for c in range(len(grid))])
-        values = bounded.values(setups)
+        values = bounded.values(setups, gap=0.0)
         values[expected] = -1.0
         expected.append(int(torch.nonzero(values >= values.max() - 1e-9)[0]))
     assert picks(bounded, 4, 3, tried=len(grid)) == expected

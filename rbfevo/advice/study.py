@@ -170,7 +170,7 @@ class Study:
             box = space.lower + side * climb.ask().unflatten(1, (m, -1))
             setups = space.place(box)
             found = bounded.optima(setups, near, gradients=True)
-            near = found.weights
+            near = found.near
             if found.gradients is None:
                 break
             gradient = space.pull(box, found.gradients) * side

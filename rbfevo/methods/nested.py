@@ -76,8 +76,10 @@ def nested(
                 "centers or enlarge the support radius"
             )
         before = candidates[torch.tensor(chosen, dtype=torch.long)].expand(len(rows), t, -1)
-        start = torch.cat((weights, weights.new_zeros(1, k))).expand(len(rows), -1, -1)
-        found = bounded.optima(assemble(torch.cat((before, candidates[rows, None]), dim=1)), start if t else None)
+        setups = assemble(torch.cat((before, candidates[rows, None]), dim=1))
+        known = torch.cat((weights, weights.new_zeros(1, k))).expand(len(rows), -1, -1)
+        start = torch.cat((setups.flatten(1), known.flatten(1)), dim=1) if t else None
+        found = bounded.optima(setups, start, gap=0.0)
         best = int((found.values >= found.values.max() - TIE).nonzero()[0])
         chosen.append(int(rows[best]))
         values.append(found.values[best])
