@@ -24,6 +24,7 @@ CELLS = 1.5  # length of smoothing, in median edges
 SEARCH = ("method=gradient", "method.generations=60", "method.starts=32", "method.population=16",
           "method.coarse=1000", "method.polish=4", "method.front=20")  # fmt: skip
 BOUNDED = 16.0
+ENDS = ("best-regularity", "knee", "best-improvement-potential")
 
 
 class Family(NamedTuple):
@@ -36,13 +37,14 @@ class Family(NamedTuple):
 
 FAMILIES = {
     **{f"Lloyd {seed}": Family(("method=lloyd", f"seed={seed}"), True, ("index:0",)) for seed in range(3)},
-    "random": Family(("method=random", "method.population=1"), True, ("index:0",)),
+    "random": Family(("method=random", "method.population=3"), True, ("index:0", "index:1", "index:2")),
     "OLS": Family(("method=ols",), True, ("index:0",)),
     "P raw": Family(SEARCH, False, ("knee",)),
-    "P": Family(SEARCH, True, ("knee", "best-improvement-potential")),
-    "P_16": Family((*SEARCH, "criterion.norm=16"), True, ("knee", "best-improvement-potential")),
+    "P": Family(SEARCH, True, ENDS),
+    "P_16": Family((*SEARCH, "criterion.norm=16"), True, ENDS),
 }
-SHORT = {"knee": " knee", "best-improvement-potential": " best", "index:0": ""}
+SHORT = {"knee": " knee", "best-regularity": " best R", "best-improvement-potential": " best", "index:0": ""}
+ON_SURFACE = ("Lloyd 0", "Lloyd 1")  # which setups are taken once more, each center at the nearest vertex that is free
 
 
 def setups(case: Case, count: int, radius: float, runs: Path) -> Iterator[tuple[str, Record, Setup]]:
@@ -67,10 +69,29 @@ def setups(case: Case, count: int, radius: float, runs: Path) -> Iterator[tuple[
         record = read(out)
         first = record if first is None else first
         for choice in picks:
-            yield family + SHORT[choice], record, setup(record, pick(record, choice))
+            yield family + SHORT.get(choice, f" {choice[-1]}"), record, setup(record, pick(record, choice))
+        if family in ON_SURFACE:
+            yield f"{family} on surface", *placed(record, on_surface(record))
     assert first is not None
-    record = dataclasses.replace(first, centers=grid(first, count)[None])
-    yield "grid", record, setup(record, 0)
+    yield "grid", *placed(first, grid(first, count))
+
+
+def placed(record: Record, centers: Array) -> tuple[Record, Setup]:
+    """A run's record with centers [m, d] in place of its own, and their setup."""
+    record = dataclasses.replace(record, centers=centers[None])
+    return record, setup(record, 0)
+
+
+def on_surface(record: Record) -> Array:
+    """The centers of the first row, each at the nearest vertex that moves freely, on their side of a symmetry plane."""
+    centers = record.centers[0]
+    free = np.ones(len(record.vertices), bool) if record.blend is None else record.blend > 0.5
+    if isinstance(plane := record.summary.get("symmetry"), dict):
+        axis, at = "xyz".index(plane["axis"]), plane["at"]
+        side = np.sign((centers[:, axis] - at).sum())
+        free &= side * (record.vertices[:, axis] - at) > -1e-6
+    vertices = record.vertices[free]
+    return vertices[((centers[:, None] - vertices) ** 2).sum(2).argmin(1)]
 
 
 def grid(record: Record, count: int) -> Array:

@@ -1,0 +1,1 @@
+def fill(text, entries): return text
