@@ -21,7 +21,7 @@ AFTER = (1, 4, 10)  # iterations
 
 
 def at(case: Case, record: Record, displacement: Array) -> tuple[float, Record]:
-    """J of a displaced design [n, k], and the record with its sensitivity in place of the one that was searched with."""
+    """J of a displaced design [n, k], and the record with its sensitivity in place of the run's."""
     J, s = case.sensitivity(displacement)
     g = -s / record.weights[:, None]
     norm = float(np.sqrt((record.weights[:, None] * g**2).sum())) or 1.0

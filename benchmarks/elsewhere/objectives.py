@@ -29,7 +29,7 @@ def excess_area(vertices: Tensor, triangles: Tensor) -> Tensor:
 
 
 def drag_over_lift(vertices: Tensor, triangles: Tensor) -> Tensor:
-    """Drag over lift by Newton's impact pressure 2 cos^2 and a constant friction, at an angle of attack, air along +x."""
+    """Drag over lift by Newton's impact pressure 2 cos^2 and a constant friction, at an angle of attack."""
     vectors = area_vectors(vertices, triangles)
     areas = vectors.norm(dim=1)
     air = vectors.new_tensor([math.cos(ATTACK), 0.0, math.sin(ATTACK)])
