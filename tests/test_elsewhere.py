@@ -139,7 +139,7 @@ def test_tables_by_value() -> None:
     found = tables.tables(entries)
     assert found["all"].splitlines()[2] == "| max-norm | car | **0.77** | **0.77** | **0.77** | **0.77** | -0.77 |"
     assert "| car | 6 | 0.50 (0.50 to 0.50) |" in found["steps"]
-    assert found["families"].splitlines()[2].startswith("| car | 4 | 1 |  |  | 2 |  |  | **3** |")
+    assert found["families"].splitlines()[2].startswith("| car | 4 | 1 |  |  | 2 |  |  |  | **3** |")
     page = tables.fill("a\n<!-- all -->\nold\n<!-- end of all -->\nb\n", entries)
     assert page == f"a\n<!-- all -->\n{found['all']}\n<!-- end of all -->\nb\n"
 

@@ -145,7 +145,8 @@ def reflector(rings: int = 27) -> Case:
         z += height * np.exp(-((x - at[0]) ** 2 + (y - at[1]) ** 2) / (2.0 * 0.22**2))
     faces = Delaunay(np.column_stack([x, y])).simplices.astype(np.int64)
     surface = pv.PolyData.from_regular_faces(np.column_stack([x, y, z]), faces)
-    return _of_surface("reflector", surface, objectives.focusing_error, 0.3)
+    made = _of_surface("reflector", surface, objectives.focusing_error, 0.3)
+    return dataclasses.replace(made, reaches={**made.reaches, "r/16": made.radii[0] / 16.0})
 
 
 def _of_scenario(made: Scenario, radii: tuple[float, float], *overrides: str) -> Case:

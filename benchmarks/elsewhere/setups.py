@@ -39,9 +39,10 @@ FAMILIES = {
     **{f"Lloyd {seed}": Family(("method=lloyd", f"seed={seed}"), True, ("index:0",)) for seed in range(3)},
     "random": Family(("method=random", "method.population=3"), True, ("index:0", "index:1", "index:2")),
     "OLS": Family(("method=ols",), True, ("index:0",)),
-    "P raw": Family(SEARCH, False, ("knee",)),
+    "P raw": Family(SEARCH, False, ENDS[1:]),
     "P": Family(SEARCH, True, ENDS),
     "P_16": Family((*SEARCH, "criterion.norm=16"), True, ENDS),
+    "P_16 raw": Family((*SEARCH, "criterion.norm=16"), False, ENDS[1:]),
 }
 SHORT = {"knee": " knee", "best-regularity": " best R", "best-improvement-potential": " best", "index:0": ""}
 ON_SURFACE = ("Lloyd 0", "Lloyd 1")  # which setups are taken once more, each center at the nearest vertex that is free

@@ -24,8 +24,11 @@ COLUMNS = {
     "random": ("random 0", "random 1", "random 2"),
     "OLS": ("OLS",),
     "P raw, knee": ("P raw knee",),
+    "P raw, best": ("P raw best",),
     "P, knee": ("P knee",),
     "P, best": ("P best",),
+    "P_16 raw, knee": ("P_16 raw knee",),
+    "P_16 raw, best": ("P_16 raw best",),
     "P_16, knee": ("P_16 knee",),
     "P_16, best": ("P_16 best",),
 }
@@ -53,7 +56,7 @@ def series(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
         same = tuple(entry[key] for key in ("case", "reach", "centers", "radius", "R", "P_raw", "P16_raw"))
         if same not in seen:
             seen.add(same)
-            name = entry["case"] + (", far" if entry["reach"] == "far" else "")
+            name = entry["case"] + ("" if entry["reach"] == "r/4" else f", {entry['reach']}")
             found.setdefault(name, []).append(entry)
     return found
 
