@@ -147,4 +147,4 @@ def test_tables_by_value() -> None:
 def test_the_page_is_that_on_disk() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert tables.fill(text, read(TABLE)) == text
-    assert text.count("<!-- end of ") == len(tables.tables(read(TABLE)))
+    assert text.count("<!-- end of ") == 10

@@ -6,22 +6,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks.elsewhere.tables import Entry, numbers, series, spearman
+from benchmarks.elsewhere.tables import KNOWN, Entry, numbers, series, spearman
 
+SHOWN = ("P_smooth", "P16_smooth", "P16_raw")
 COLORS, MARKS = ("#c4601d", "#1f5fa8"), ("o", "^")
 
 
 def draw(entries: Sequence[Entry], out: Path) -> None:
-    """For each case the reduction after 4 max-norm steps over P and over P_16, both of the smoothed sensitivity."""
+    """For each case, at r/4, the reduction after 4 max-norm steps over three numbers known beforehand."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
-    cases = series(entries)
-    figure, grid = plt.subplots(2, len(cases), figsize=(2.3 * len(cases), 5.0), layout="constrained", squeeze=False)
+    cases = series([entry for entry in entries if entry["reach"] == "r/4"])
+    figure, grid = plt.subplots(3, len(cases), figsize=(2.3 * len(cases), 7.2), layout="constrained", squeeze=False)
     for column, (name, own) in enumerate(cases.items()):
-        for row, (known, label) in enumerate((("P_smooth", "P"), ("P16_smooth", "P_16"))):
+        for row, known in enumerate(SHOWN):
             axes: Any = grid[row, column]
             counts, radii = (list(dict.fromkeys(entry[key] for entry in own)) for key in ("centers", "radius"))
             for i, count in enumerate(counts):
@@ -31,7 +32,7 @@ def draw(entries: Sequence[Entry], out: Path) -> None:
                     axes.scatter(x, y, 14, COLORS[i], MARKS[j], alpha=0.7, linewidths=0, label=f"{count}, r {radius}")
             correlation = spearman(numbers(own, known), numbers(own, "max-norm_after_4"))
             axes.set_title(f"{name}: {correlation:.2f}", fontsize=9)
-            axes.set_xlabel(f"{label}, smoothed", fontsize=8)
+            axes.set_xlabel(KNOWN[known], fontsize=8)
             axes.tick_params(labelsize=7)
             axes.set_xlim(left=0.0)
             axes.set_ylim(bottom=0.0)

@@ -16,7 +16,7 @@ Entry = dict[str, Any]
 
 KNOWN = {"R": "R", "P_raw": "P raw", "P_smooth": "P smoothed", "P16_raw": "P_16 raw", "P16_smooth": "P_16 smoothed"}
 SEARCHED = ("OLS", "P raw", "P knee", "P best", "P_16")  # beginnings of the names of setups that look at g
-SAMPLES = 1000  # of the bootstrap
+SAMPLES = 200  # of the bootstrap
 COLUMNS = {
     "Lloyd": ("Lloyd 0", "Lloyd 1", "Lloyd 2"),
     "Lloyd on surface": ("Lloyd 0 on surface", "Lloyd 1 on surface"),
@@ -120,7 +120,7 @@ def iterations(entries: Sequence[Entry]) -> str:
         ]
         low, high = interval(own, "max-norm_after_4", generator)
         rows.append([name, *cells, f"{low:+.2f} to {high:+.2f}"])
-    return markdown(("case", *KNOWN.values(), "P_16 over P, smoothed, after 4: 5 to 95 %"), rows)
+    return markdown(("case", *KNOWN.values(), "P_16 minus P, smoothed, after 4: 5 to 95 %"), rows)
 
 
 def steps(entries: Sequence[Entry]) -> str:
@@ -164,7 +164,7 @@ def exact(entries: Sequence[Entry]) -> str:
     """The correlations with the reduction by the least-squares solution, over all and within."""
     rows = []
     for name, own in series(entries).items():
-        if np.isfinite(numbers(own, "least_squares")).any() and ", far" not in name:
+        if np.isfinite(numbers(own, "least_squares")).any():
             rows.append([name, "all", *_bold_largest([overall(own, known, "least_squares") for known in KNOWN])])
             rows.append([name, "within", *_bold_largest([within(own, known, "least_squares") for known in KNOWN])])
     return markdown(("case", "setups", *KNOWN.values()), rows)
@@ -172,13 +172,15 @@ def exact(entries: Sequence[Entry]) -> str:
 
 def tables(entries: Sequence[Entry]) -> dict[str, str]:
     """All tables by name."""
-    near = [entry for entry in entries if entry["reach"] != "far"]
+    near = [entry for entry in entries if entry["reach"] == "r/4"]
+    fits = [entry for entry in entries if entry["least_squares"]]
     return {
         "all": correlations(entries, overall, 4),
         "within": correlations(entries, within, 4),
         "blind": correlations(entries, blind, 4),
         "iterations": iterations(entries),
-        "exact": exact(entries),
+        "fits": correlations(fits, within, 10),
+        "exact": exact(near),
         "exact families": families(near, "least_squares"),
         "steps": steps(entries),
         "families": families(entries, "max-norm_after_4"),
