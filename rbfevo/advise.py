@@ -33,7 +33,7 @@ It takes the keys of python -m rbfevo (see its --help); of these
 
   centers=M                      the most centers to try (16)
   kernel=, kernel.support=       leave one kernel, or one radius, to try (all)
-  scenario.smooth=LENGTH         the length over which the sensitivity is smoothed (1.5 mean edges)
+  scenario.smooth=LENGTH         the length over which the sensitivity is smoothed (1.5 mean edges); null: not at all
   criterion.norm=P               the norm of the step that is bounded (16; 2 for targets)
   hydra.run.dir=DIR              the directory for advice.json, advice.csv, advice.html, advice.png and centers.csv
 
@@ -139,7 +139,7 @@ def design_of(settings: Settings, given: set[str]) -> tuple[Scenario, float]:
     scenario: Scenario = build(settings.scenario)
     sensitivity = scenario.direction_only
     norm = settings.criterion_norm if "criterion.norm" in given else NORM if sensitivity else 2.0
-    if sensitivity and "smooth" in settings.scenario and settings.scenario["smooth"] is None:
+    if sensitivity and settings.scenario.get("smooth", 0) is None and "scenario.smooth" not in given:
         length = float(f"{SMOOTH * edge(scenario):.4g}")
         if length > 0.0:
             scenario = build({**settings.scenario, "smooth": length})

@@ -267,6 +267,16 @@ def test_results_are_not_overwritten(advised: Path, capsys: pytest.CaptureFixtur
     assert (advised / "advice.json").read_bytes() == before
 
 
+def test_smooth_null_leaves_the_sensitivity_raw(pushed: Path) -> None:
+    out = pushed / "raw"
+    arguments = [*ARGUMENTS, f"scenario.template={pushed / 'ball.vtp'}", "centers=1", "kernel.support=0.8"]
+    more = ["scenario.smooth=null", "figures=false", "quiet=true", f"hydra.run.dir={out}"]
+    assert advise.main([*arguments, *more]) == 0
+    found = read_advice(out)
+    assert found.smooth is None
+    assert "smooth" not in found.commands[0]
+
+
 def test_a_target_is_judged_by_the_papers_potential(tmp_path: Path) -> None:
     """And one radius alone where one is asked for, with nothing smoothed."""
     arguments = [
