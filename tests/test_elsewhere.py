@@ -139,6 +139,9 @@ def test_tables_by_value() -> None:
     found = tables.tables(entries)
     assert found["all"].splitlines()[2] == "| max-norm | car | **0.77** | **0.77** | **0.77** | **0.77** | -0.77 |"
     assert "| car | 6 | 0.50 (0.50 to 0.50) |" in found["steps"]
+    assert (
+        found["margins"].splitlines()[2] == "| car | +nan / +nan | +nan / +nan | 0 of 0 | 0 of 0 |"
+    )  # no searches for P_16
     assert found["families"].splitlines()[2].startswith("| car | 4 | 1 |  |  | 2 |  |  |  | **3** |")
     page = tables.fill("a\n<!-- all -->\nold\n<!-- end of all -->\nb\n", entries)
     assert page == f"a\n<!-- all -->\n{found['all']}\n<!-- end of all -->\nb\n"
@@ -147,4 +150,4 @@ def test_tables_by_value() -> None:
 def test_the_page_is_that_on_disk() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert tables.fill(text, read(TABLE)) == text
-    assert text.count("<!-- end of ") == 10
+    assert text.count("<!-- end of ") == 11

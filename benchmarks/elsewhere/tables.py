@@ -160,6 +160,35 @@ def families(entries: Sequence[Entry], result: str) -> str:
     return markdown(("case", "centers", *COLUMNS), rows)
 
 
+def margins(entries: Sequence[Entry]) -> str:
+    """By how much the best setup of searches for P_16 gains more by max-norm steps than that of searches for P.
+
+    One number for each number of centers and radius, in per cent; and in how many fronts the best potential is ahead of
+    the knee, by max-norm and by steepest steps.
+    """
+    rows = []
+    for name, own in series(entries).items():
+        cells = []
+        for after in (4, 10):
+            key, found = f"max-norm_after_{after}", []
+            for group in groups(own):
+                bounded, mean = (
+                    max((float(entry[key]) for entry in group if entry["setup"].startswith(names)), default=np.nan)
+                    for names in (("P_16",), ("P raw", "P knee", "P best"))
+                )
+                found.append(f"{100.0 * (bounded / mean - 1.0):+.0f}")
+            cells.append(" / ".join(found))
+        for rule in ("max-norm", "steepest"):
+            pairs = []
+            for group in groups(own):
+                gains = {entry["setup"]: float(entry[f"{rule}_after_10"]) for entry in group}
+                pairs += [(gains[f"{of} best"], gains[f"{of} knee"]) for of in ("P", "P_16") if f"{of} best" in gains]
+            cells.append(f"{sum(best > knee for best, knee in pairs)} of {len(pairs)}")
+        rows.append([name, *cells])
+    head = ("after 4 [%]", "after 10 [%]", "best ahead of knee, max-norm", "best ahead of knee, steepest")
+    return markdown(("case", *head), rows)
+
+
 def exact(entries: Sequence[Entry]) -> str:
     """The correlations with the reduction by the least-squares solution, over all and within."""
     rows = []
@@ -183,6 +212,7 @@ def tables(entries: Sequence[Entry]) -> dict[str, str]:
         "exact": exact(near),
         "exact families": families(near, "least_squares"),
         "steps": steps(entries),
+        "margins": margins([entry for entry in entries if entry["setup"].startswith(SEARCHED)]),
         "families": families(entries, "max-norm_after_4"),
         "families after 10": families(entries, "max-norm_after_10"),
     }
