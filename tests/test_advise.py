@@ -19,7 +19,7 @@ from rbfevo.advice.choice import Trial, choose, reasons
 from rbfevo.errors import UserError
 from rbfevo.figures import advice as figure
 from rbfevo.methods.candidates import grid_candidates
-from rbfevo.methods.nested import nested
+from rbfevo.methods.nested import _Screen, nested
 from rbfevo.methods.ols import ols
 from rbfevo.recorded.advice import read_advice
 from rbfevo.scoring.bounded import BoundedPotential
@@ -77,6 +77,28 @@ def test_the_screening_promises_no_more_than_there_is_and_loses_little() -> None
     grid = grid_candidates(torch.full((3,), -1.0).double(), torch.full((3,), 1.0).double(), 5)
     gains = [float(bounded.values(grid[torch.tensor(rows)][None])[0]) for rows in (few, every)]
     assert gains[0] > 0.97 * gains[1]
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_promise_is_a_gain_that_the_candidate_does_reach(held: bool) -> None:
+    """No more than the optimum with it, and most of what that adds to the gain, for the better half of candidates."""
+    blend = (bounded_on(16.0).vertices[:, 0] + 0.4).clamp(0.0, 1.0) if held else None
+    bounded = bounded_on(16.0, weighted=True, blend=blend)
+    grid = grid_candidates(torch.full((3,), -1.0).double(), torch.full((3,), 1.0).double(), 5)
+    before = grid[torch.tensor(picks(bounded, 5, 3, tried=8))]
+    found = bounded.optima(before[None], gap=0.0)
+    screen = _Screen(bounded, kernel_columns(bounded.vertices, Wendland(0.9)), grid)
+    screen.move(before, found.weights[0])
+    promise = screen.promise()
+    with_each = torch.cat((before.expand(len(grid), -1, -1), grid[:, None]), dim=1)
+    exact = bounded.values(with_each, gap=0.0).sqrt() * bounded.dual
+    usable = torch.isfinite(promise)
+    assert bool((promise[usable] <= exact[usable] * (1.0 + 1e-7)).all())
+    start = screen.gain
+    assert start == pytest.approx(float(found.values[0]) ** 0.5 * bounded.dual, rel=1e-6)
+    rise, most = promise[usable] - start, exact[usable] - start
+    better = most >= most.median()
+    assert float((rise[better] / most[better]).median()) > 0.85
 
 
 def test_candidates_that_move_nothing_are_refused_with_their_number() -> None:
@@ -224,6 +246,7 @@ def test_the_commands_run_as_they_stand(advised: Path, capsys: pytest.CaptureFix
     words = shlex.split(run)
     assert words[:3] == ["python", "-m", "rbfevo"]
     assert "manipulation=direct" in words
+    assert f"scenario.smooth={read_advice(advised).smooth:.4g}" in words
     small = [
         "method.generations=4",
         "method.starts=16",
