@@ -89,6 +89,8 @@ def test_a_promise_is_a_gain_that_the_candidate_does_reach(held: bool) -> None:
     found = bounded.optima(before[None], gap=0.0)
     screen = _Screen(bounded, kernel_columns(bounded.vertices, Wendland(0.9)), grid)
     screen.move(before, found.weights[0])
+    pulled = screen.columns(before).mT @ screen.left  # at the optimum nothing is left along the columns
+    assert float(pulled.abs().max()) < 1e-6 * float((screen.columns(before).mT @ bounded.a).abs().max())
     promise = screen.promise()
     with_each = torch.cat((before.expand(len(grid), -1, -1), grid[:, None]), dim=1)
     exact = bounded.values(with_each, gap=0.0).sqrt() * bounded.dual
