@@ -20,6 +20,7 @@ from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import Setup, setup
 
+FORMS = ("points", "pointDisplacement")  # of a case
 FAR = 0.01  # of the largest displacement of a center: what moves farther outside the box gets a warning
 DESCRIPTION = """Deform a mesh with the control points of one setup of a run.
 
@@ -27,7 +28,8 @@ You give how far each control point moves (--displacements, in the unit of the m
 python -m rbfevo.export writes; every point of the mesh follows. The mesh can be the template of the run or any other
 one in the same place and unit: a finer surface, a volume mesh, a cloud. Everything else in its file is kept."""
 EPILOG = f"""Mesh formats: {", ".join(ending[1:] for ending in meshes.ENDINGS)}.
---out ends as --mesh does, or in one of {", ".join(meshes.CONVERSIONS)}."""
+--out ends as --mesh does, or in one of {", ".join(meshes.CONVERSIONS)}.
+Of an OpenFOAM case, --mesh is its directory and --out the directory of a time, such as CASE/1."""
 
 
 def parser() -> parsers.Parser:
@@ -49,6 +51,13 @@ def parser() -> parsers.Parser:
     )
     made.add_argument("--mesh", type=Path, required=True, metavar="FILE", help="the mesh to deform")
     made.add_argument("--out", type=Path, required=True, metavar="FILE", help="the file to write the deformed mesh to")
+    made.add_argument(
+        "--as",
+        dest="form",
+        choices=FORMS,
+        default=FORMS[0],
+        help="of an OpenFOAM case: the points of time OUT (default), or OUT/pointDisplacement for its own mover",
+    )
     made.add_argument("--force", action="store_true", help="write a volume mesh even if cells turn inside out")
     made.add_argument("--overwrite", action="store_true", help="replace --out if it exists")
     made.add_argument("--quiet", action="store_true", help="print only warnings")
@@ -68,7 +77,7 @@ def carry_out(options: argparse.Namespace) -> None:
     """
     record = read(options.run)
     chosen = setup(record, pick(record, options.pick))
-    refuse_out(options)
+    out = target(options)
     what, path = (
         ("weights", options.weights) if options.displacements is None else ("displacements", options.displacements)
     )
@@ -92,7 +101,7 @@ def carry_out(options: argparse.Namespace) -> None:
         turned = inverted(mesh, moved)
         if turned and not options.force:
             raise UserError(f"{options.mesh}: {turned}, or add --force to write the mesh anyway")
-        notes = meshes.write(mesh, options.mesh, moved, displacement, options.out)
+        notes = meshes.write(mesh, options.mesh, moved, displacement, out)
         centers = chosen.moved(rows) if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
         largest = float(np.linalg.norm(centers, axis=1).max(initial=0.0))
@@ -102,12 +111,37 @@ def carry_out(options: argparse.Namespace) -> None:
         for note in notes:
             print(f"note: {note}")
         print(f"{len(moved)} points moved by at most {length.max():.6g}, the centers by at most {largest:.6g}")
-        print(f"written: {options.out}", flush=True)
+        print(f"written: {out}", flush=True)
+
+
+def target(options: argparse.Namespace) -> Path:
+    """What is written: --out, or of a case its field for the mover; checked.
+
+    Raises:
+        UserError: if the result cannot be written there.
+    """
+    meshes.refuse_ending(options.mesh, options.out)
+    if options.mesh.is_dir():
+        time: Path = options.out
+        if not time.parent.is_dir():
+            raise UserError(f"--out {time}: the directory {time.parent} does not exist; create it first")
+        mover = options.form == FORMS[1]
+        written = time / FORMS[1] if mover else time / "polyMesh" / "points"
+        there = [one for one in (written, written.with_name(f"{written.name}.gz")) if one.exists()]
+        if there and (there[0] != written or not options.overwrite):
+            raise UserError(
+                f"--out {time}: {there[0]} already exists: choose another time, or "
+                + ("add --overwrite" if there[0] == written else "remove it")
+            )
+        return written if mover else time
+    if options.form != FORMS[0]:
+        raise UserError(f"--as {options.form}: {options.mesh} is no OpenFOAM case; leave it out")
+    refuse_out(options)
+    return options.out
 
 
 def refuse_out(options: argparse.Namespace) -> None:
-    """Raise UserError if the result cannot be written to --out."""
-    meshes.refuse_ending(options.mesh, options.out)
+    """Raise UserError if the result cannot be written to the file --out."""
     if options.out.exists() and not options.overwrite:
         raise UserError(f"--out {options.out} already exists: choose another file, or add --overwrite")
     if options.out.is_dir():

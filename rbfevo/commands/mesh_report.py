@@ -24,6 +24,7 @@ def reported(path: Path, patches: list[str] | None = None) -> dict[str, Any]:
     Keys: `file`, `format`, `points`, `vertices` (of the surface), `triangles`, `pieces`, `area`, `volume` (within a
     closed surface, else null), `cells` (how many of each kind), `box` (the lowest and highest corner), `arrays` and
     `cell_arrays` (by name: components, lowest, highest, and how many rows are not finite), `patches` (by name: cells),
+    `patch_types` (of a case: the solver's type of each patch), `sensitivities` (of a case: what is known of each),
     `notes` (by title). Lengths are in the file's unit.
 
     Args:
@@ -41,7 +42,7 @@ def reported(path: Path, patches: list[str] | None = None) -> dict[str, Any]:
         notes["not finite"] = f"{int((~finite).sum())} of {len(finite)} points have coordinates that are not finite"
     found: dict[str, Any] = {
         "file": str(path),
-        "format": ending_of(path)[1:].upper(),
+        "format": "OpenFOAM case" if path.is_dir() else ending_of(path)[1:].upper(),
         "points": len(mesh.points),
         "vertices": len(np.unique(part.triangles)),
         "triangles": len(part.triangles),
@@ -53,6 +54,8 @@ def reported(path: Path, patches: list[str] | None = None) -> dict[str, Any]:
         "arrays": {name: _described(values) for name, values in mesh.arrays.items()},
         "cell_arrays": {name: _described(values) for name, values in mesh.cell_arrays.items()},
         "patches": {name: len(members) for name, members in mesh.patches.items()},
+        "patch_types": mesh.patch_types,
+        "sensitivities": {name: meaning._asdict() for name, meaning in mesh.meanings.items()},
         "notes": notes,
     }
     if len(part.triangles):
@@ -113,6 +116,10 @@ def lines(found: dict[str, Any]) -> list[str]:
             gaps = f", {values['not_finite']} rows not finite" if values["not_finite"] else ""
             rows.append(f"  {name}{size}{span}{gaps}")
     if found["patches"]:
-        rows.append("patches: " + ", ".join(f"{name} ({count} cells)" for name, count in found["patches"].items()))
+        kinds = {name: f"{kind}, " for name, kind in found["patch_types"].items()}
+        listed = (f"{name} ({kinds.get(name, '')}{count} cells)" for name, count in found["patches"].items())
+        rows.append("patches: " + ", ".join(listed))
+    for name, known in found["sensitivities"].items():
+        rows.append(f"sensitivity: {name}: {known['kind'] or 'not known whether integrated'} ({known['note']})")
     rows += [f"note: {title}: {note}" for title, note in found["notes"].items()]
     return rows

@@ -2,7 +2,7 @@
 
 Templates, targets, scans, sensitivities, `rbfevo.apply` and `rbfevo.export` all read and write through `opened` and
 `write`. Points and cells keep the file's order. Text formats, PLY and STL are written with the coordinates put in
-place, so that every other byte of the file stays; VTK and meshio write the rest.
+place, so that every other byte of the file stays; VTK and meshio write the rest. A directory is an OpenFOAM case.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from rbfevo.meshes.nastran import read_nastran
 from rbfevo.meshes.npy import read_npy
 from rbfevo.meshes.obj import read_obj
 from rbfevo.meshes.off import read_off
+from rbfevo.meshes.openfoam import POINT_DISPLACEMENT, case_of, is_time, read_case
 from rbfevo.meshes.ply import read_ply
 from rbfevo.meshes.stl import read_stl
 from rbfevo.meshes.su2 import read_su2
@@ -61,16 +62,17 @@ CONVERSIONS = (".vtp", ".vtu", ".vtk")
 
 @contextlib.contextmanager
 def opened(path: str | Path) -> Iterator[Mesh]:
-    """The mesh or cloud in a file, by its ending; it can be written until the end of the block.
+    """The mesh or cloud in a file, by its ending, or of an OpenFOAM case; it can be written until the end of the block.
 
     Raises:
         UserError: if the file is missing, unreadable, of an unknown ending, or holds no usable points, or cells that
             cannot be.
     """
     path = existing_home(path)
+    if path.is_dir() or (not path.exists() and case_of(path) is not None):
+        yield _case(path)
+        return
     refuse_missing(path)
-    if path.is_dir():
-        raise UserError(f"{path}: is a directory, not a mesh or scan; give a file ({_listed()})")
     ending = ending_of(path)
     if ending not in ENDINGS:
         raise UserError(f"{path}: unknown ending '{ending}'; a mesh or cloud can be {_listed()}")
@@ -97,6 +99,25 @@ def opened(path: str | Path) -> Iterator[Mesh]:
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise UserError(f"{path}: damaged: not a readable {ending[1:].upper()} file ({reason})") from None
         yield mesh
+
+
+def _case(path: Path) -> Mesh:
+    """The mesh of an OpenFOAM case.
+
+    Raises:
+        UserError: if the directory is none, or the case cannot be read.
+    """
+    case = case_of(path)
+    if case is None:
+        raise UserError(f"{path}: is a directory, and no OpenFOAM case; give a case or a file ({_listed()})")
+    try:
+        mesh = read_case(case)
+        cells.check(mesh.cells, len(mesh.points))
+    except OSError as error:
+        raise UserError(f"{path}: {error.filename or 'the case'} cannot be read ({error.strerror or error})") from None
+    except (FormatError, ValueError, IndexError) as error:
+        raise UserError(f"{path}: not a readable OpenFOAM case ({error})") from None
+    return mesh
 
 
 def ending_of(path: Path) -> str:
@@ -145,6 +166,10 @@ def refuse_huge(path: Path | str, points: Array) -> None:
 
 def refuse_ending(mesh: Path, out: Path) -> None:
     """Raise UserError if a mesh of the ending of `mesh` cannot be written with that of `out`."""
+    if mesh.is_dir():
+        if not is_time(out.parent if out.name == POINT_DISPLACEMENT else out):
+            raise UserError(f"--out {out}: for a case give a directory with a time as its name, such as {mesh}/1")
+        return
     given, wanted = ending_of(mesh), ending_of(out)
     if wanted != given and wanted not in CONVERSIONS:
         raise UserError(f"--out {out}: choose the ending of the mesh, {given}, or one of {', '.join(CONVERSIONS)}")
@@ -157,11 +182,13 @@ def write(mesh: Mesh, source: Path, moved: Array, displacement: Array, out: Path
         UserError: if it cannot be written.
     """
     given, wanted = ending_of(source), ending_of(out)
-    if wanted == given or _own(source, given) is None:
+    if source.is_dir() or wanted == given or _own(source, given) is None:
         try:
             return [*([] if wanted != given else mesh.kept), *mesh.write(moved, displacement, out)]
         except FormatError as error:
             raise UserError(f"{out} cannot be written: {error}") from None
+        except OSError as error:
+            raise UserError(f"{out} cannot be written: {error.strerror or error}") from None
     arrays = {**mesh.arrays, "displacement": displacement}
     if wanted == ".vtp" and cells.solids(mesh.cells):
         raise UserError(f"--out {out}: the mesh fills a volume; choose an ending of .vtu or .vtk")

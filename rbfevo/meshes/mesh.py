@@ -75,6 +75,21 @@ class Cells:
         return len(self.kinds)
 
 
+class Meaning(NamedTuple):
+    """What a file says of one of its sensitivities.
+
+    Attributes:
+        kind: `nodal` (integrated) or `density` (per area), None where the file does not say.
+        normal: the normal that one value per vertex refers to (`as_wound`), None for vectors.
+        note: how that is known, in a line; rank: of several, the lowest is the best to take.
+    """
+
+    kind: str | None
+    normal: str | None
+    note: str
+    rank: int = 0
+
+
 @dataclasses.dataclass(frozen=True)
 class Mesh:
     """All that rbfevo takes from a file, and how to write the file back.
@@ -90,6 +105,8 @@ class Mesh:
         numbers: [n] int64, the file's own numbers of its points, where the format has them (Abaqus, Nastran, Gmsh).
         dimension: how many coordinates a point has in the file, 2 or 3.
         notes: one line each for what was accepted but is worth knowing, by a short title.
+        patch_types: what the solver takes each patch for, by its name, where the format says so (`symmetryPlane`, ...).
+        meanings: what is known of sensitivities among the arrays, by their names.
         kept: what the user should know about writing it back, a line each.
     """
 
@@ -102,6 +119,8 @@ class Mesh:
     numbers: Ints | None = None
     dimension: int = 3
     notes: dict[str, str] = dataclasses.field(default_factory=dict)
+    patch_types: dict[str, str] = dataclasses.field(default_factory=dict)
+    meanings: dict[str, Meaning] = dataclasses.field(default_factory=dict)
     kept: list[str] = dataclasses.field(default_factory=list)
 
 

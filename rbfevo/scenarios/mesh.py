@@ -13,7 +13,7 @@ from rbfevo.geometry import topology
 from rbfevo.geometry.correspondence import Points
 from rbfevo.geometry.lengths import length
 from rbfevo.geometry.pairing import REJECTIONS
-from rbfevo.scenarios import fixing, sensitivities, signs, smoothing
+from rbfevo.scenarios import boundaries, fixing, sensitivities, signs, smoothing
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.design import Design
 from rbfevo.scenarios.planar import Planar
@@ -56,7 +56,7 @@ def mesh(
         patches: names of the template's patches (markers, physical groups, element sets) to take; None for all.
         target: a mesh or cloud as `read_surface` takes it: vertices should move to their closest points on it.
         sensitivity: the name of a point or cell array of the template, or a CSV, NPY or NPZ file: one value a vertex,
-            taken along its normal, or three.
+            taken along its normal, or three. None: of a solver's case, its own.
         sensitivity_kind: `nodal` (integrated over a vertex's share of the surface) or `density` (per area); None is
             nodal, but doubts are refused.
         sensitivity_normal: `outward` or `as_wound` (by the file): the normal that one value per vertex refers to; None
@@ -90,6 +90,11 @@ def mesh(
     read = read_template(str(template), _names(patches), planar is not None)
     parts = f"{len(read.segments)} segments" if read.curve else f"{len(read.triangles)} triangles"
     notes = {"template": f"{template}: {len(read.vertices)} vertices, {parts}"} | read.notes
+    boundaries.refuse_whole_boundary(read, patches)
+    symmetry, symmetry_at, planar, more = boundaries.boundaries(read, symmetry, symmetry_at, planar)
+    notes |= more
+    if target is None and sensitivity is None:
+        sensitivity = boundaries.sensitivity_of(read)
     if (target is None) == (sensitivity is None):
         raise UserError(_which(read, target is not None))
     flat = Planar.of(planar, read.vertices, read.curve)

@@ -86,6 +86,7 @@ def descent(
     Raises:
         UserError: for values that cannot be read or are all 0, and where it is in doubt what they mean.
     """
+    choices, known = _known(source, choices, template)
     kind = choices.kind or DEFAULT
     given = vertex_array(source, template, "sensitivity", choices.match, kind)
     values = given.values
@@ -105,7 +106,7 @@ def descent(
             "normal; remove the setting"
         )
     scaled, exponent = near_one(values)  # in the units of an adjoint solver values may be huge or tiny
-    if choices.kind is None:
+    if choices.kind is None and not known:
         kinds.ask(given.names, scaled, areas, template.triangles, source)
     notes = {"sensitivity": _convention(source, values, kind, choices), "sensitivity rows": given.note}
     return Descent(
@@ -114,6 +115,24 @@ def descent(
         notes,
         _warnings(source, values, template, title, sides),
     )
+
+
+def _known(source: str, choices: Choices, template: Template) -> tuple[Choices, bool]:
+    """The choices filled up by what the file says of this sensitivity, and whether it says what kind it is.
+
+    Raises:
+        UserError: if a setting contradicts the file.
+    """
+    meaning = template.meanings.get(source)
+    if meaning is None:
+        return choices, False
+    for key, asked, said in (("kind", choices.kind, meaning.kind), ("normal", choices.normal, meaning.normal)):
+        if asked is not None and said is not None and asked != said:
+            raise UserError(
+                f"scenario.sensitivity_{key}={asked}: {source} is {said} ({meaning.note}); remove the setting"
+            )
+    filled = {"kind": choices.kind or meaning.kind, "normal": choices.normal or meaning.normal}
+    return dataclasses.replace(choices, **filled), meaning.kind is not None
 
 
 def wanted(values: Array, normals: Array, areas: Array, weights: Array, kind: str, objective: str) -> Array:

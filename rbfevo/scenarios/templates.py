@@ -15,7 +15,7 @@ from rbfevo.geometry import topology
 from rbfevo.geometry.curves import segment_lengths
 from rbfevo.meshes import cells, opened
 from rbfevo.meshes.lines import Lines, lines_of
-from rbfevo.meshes.mesh import Mesh
+from rbfevo.meshes.mesh import Meaning, Mesh
 from rbfevo.meshes.surface import Surface, patch_cells, patch_points
 from rbfevo.names import existing_home
 from rbfevo.scenarios.reading import checked_extent, surface
@@ -37,7 +37,9 @@ class Template:
         cell_arrays: numeric arrays of the file's cells by name, [c] or [c, k].
         cell: [f] or [s] int64, the cell that each triangle or segment is a part of; -1 on the boundary of a volume.
         numbers: [count] the file's own numbers of its points, where the format has them.
-        patches: the names of the file's patches; patch_points: (setting, names) -> the points [h, 3] of some of them, a
+        patch_types: the solver's type of each patch, by name, where the format has it; meanings: what is known of
+            sensitivities among the arrays, by name.
+        patch_points: (setting, names) -> the points [h, 3] of some of them, a
             UserError that names the setting for a name that there is not.
         patches: the names of the file's patches.
         segments: [s, 2] int64 into vertices, of a curve, which has no triangles; each has a length.
@@ -54,6 +56,8 @@ class Template:
     numbers: NDArray[np.int64] | None = None
     patches: tuple[str, ...] = ()
     patch_points: Callable[[str, Sequence[str]], Points] = lambda setting, names: np.empty((0, 3))
+    patch_types: dict[str, str] = dataclasses.field(default_factory=dict)
+    meanings: dict[str, Meaning] = dataclasses.field(default_factory=dict)
     segments: Ints = dataclasses.field(default_factory=lambda: np.empty((0, 2), np.int64))
 
     @property
@@ -179,7 +183,9 @@ def _numbered(
         mesh.numbers,
         tuple(mesh.patches),
         lambda setting, names: mesh.points[patch_points(mesh, names, setting)],
-        renumbered[segments],
+        patch_types=mesh.patch_types,
+        meanings=mesh.meanings,
+        segments=renumbered[segments],
     )
 
 
