@@ -173,6 +173,6 @@ def _table(advice: Advice) -> str:
 
 
 STYLE = """body{font:15px/1.5 system-ui,sans-serif;max-width:1100px;margin:2em auto;padding:0 1em;color:#1c1c1c}
-pre{background:#f3f3f3;padding:1em;overflow-x:auto}#curves{height:480px}
+pre{background:#f3f3f3;padding:1em;white-space:pre-wrap;overflow-wrap:anywhere}#curves{height:480px}
 table{border-collapse:collapse;font-variant-numeric:tabular-nums}td,th{padding:.15em .9em;text-align:right}
 tr.chosen{background:#fde7e3;font-weight:bold}th{border-bottom:1px solid #6b6b6b}"""
