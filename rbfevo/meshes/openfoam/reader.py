@@ -14,17 +14,10 @@ from rbfevo.meshes.openfoam import lists, meaning, writing
 from rbfevo.meshes.openfoam.case import Case
 from rbfevo.meshes.openfoam.dictionary import entries_of
 from rbfevo.meshes.openfoam.fields import patch_fields, point_field
+from rbfevo.meshes.openfoam.writing import Patch
 
 POLYHEDRON, TRIANGLE, QUAD, POLYGON = 42, 5, 9, 7
 RANKS = ("pointSensVec", "faceSensVec", "pointSensNormal", "faceSensNormal")  # the best first
-
-
-class Patch(NamedTuple):
-    """A patch: its type, its first face, and how many it has."""
-
-    kind: str
-    start: int
-    count: int
 
 
 class Topology(NamedTuple):

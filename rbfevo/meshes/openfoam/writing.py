@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ CONSTRAINTS = ("symmetryPlane", "symmetry", "empty", "wedge", "cyclic", "cyclicA
 POINT_DISPLACEMENT = "pointDisplacement"
 
 
-class PatchLike(Protocol):
+class Patch(NamedTuple):
     """A patch: its type, its first face, and how many it has."""
 
     kind: str
@@ -24,7 +24,7 @@ class PatchLike(Protocol):
     count: int
 
 
-def writer(patches: Mapping[str, PatchLike], sizes: Ints, corners: Ints) -> Callable[[Array, Array, Path], list[str]]:
+def writer(patches: Mapping[str, Patch], sizes: Ints, corners: Ints) -> Callable[[Array, Array, Path], list[str]]:
     """The `write` of a case's mesh: `out` is a time's directory, or its pointDisplacement.
 
     Args:
@@ -52,7 +52,7 @@ def points(values: Array, location: str) -> bytes:
 
 
 def point_displacement(
-    displacement: Array, patches: Mapping[str, PatchLike], sizes: Ints, corners: Ints, location: str
+    displacement: Array, patches: Mapping[str, Patch], sizes: Ints, corners: Ints, location: str
 ) -> bytes:
     """The boundary condition of a mesh mover: displacements of each patch's points in the order in which OpenFOAM has
     them, that of their first appearance in the patch's faces.
