@@ -87,6 +87,8 @@ class Mesh:
         arrays: numeric point arrays by name, float64 [n] or [n, k].
         cell_arrays: the same of the cells, [c] or [c, k].
         patches: named groups of cells (patches, markers, physical groups, element sets, parts): their numbers.
+        patch_types: the types of patches by their names, where the format has them: OpenFOAM's, such as wall, patch,
+            symmetryPlane, symmetry, empty.
         numbers: [n] int64, the file's own numbers of its points, where the format has them (Abaqus, Nastran, Gmsh).
         dimension: how many coordinates a point has in the file, 2 or 3.
         notes: one line each for what was accepted but is worth knowing, by a short title.
@@ -99,6 +101,7 @@ class Mesh:
     arrays: dict[str, Array] = dataclasses.field(default_factory=dict)
     cell_arrays: dict[str, Array] = dataclasses.field(default_factory=dict)
     patches: dict[str, Ints] = dataclasses.field(default_factory=dict)
+    patch_types: dict[str, str] = dataclasses.field(default_factory=dict)
     numbers: Ints | None = None
     dimension: int = 3
     notes: dict[str, str] = dataclasses.field(default_factory=dict)
