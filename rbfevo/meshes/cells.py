@@ -157,8 +157,8 @@ def _within(sizes: Ints) -> Ints:
     return np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
 
 
-def boundary(cells: Cells) -> Cells:
-    """The faces of solid cells that belong to one of them only, as polygons with their normals outwards.
+def faces_of(cells: Cells) -> Faces:
+    """All faces of the solid cells, by their corners, those between two cells once for each.
 
     Raises:
         FormatError: if there are solids whose faces are not known here.
@@ -168,25 +168,38 @@ def boundary(cells: Cells) -> Cells:
     if others:
         listed = ", ".join(f"{count} {name}" for name, count in others.items())
         raise FormatError(f"holds a volume mesh with {listed}, whose boundary is not taken here; extract its surface")
-    sizes, corners = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
+    cell, sizes, corners = ([np.empty(0, np.int64)] for _ in range(3))
     for name in found:
         for face in _FACES.get(name, ()):
             own = _solid_corners(cells, name)[:, face]
+            cell.append(np.flatnonzero(np.isin(cells.kinds, SOLIDS[name])))
             sizes.append(np.full(len(own), own.shape[1]))
             corners.append(own.reshape(-1))
-    if cells.faces is not None:
-        sizes.append(cells.faces.sizes)
-        corners.append(cells.faces.corners)
-    every, flat = np.concatenate(sizes), np.concatenate(corners)
-    starts = np.cumsum(every) - every
-    width = int(every.max(initial=0))
+    for part, more in zip((cell, sizes, corners), cells.faces or (), strict=False):
+        part.append(more)
+    return Faces(np.concatenate(cell), np.concatenate(sizes), np.concatenate(corners))
+
+
+def alike(faces: Faces) -> Ints:
+    """A number [f] of each face, the same where faces have the same corners, in whatever order: 0, 1 ..."""
     # Faces of two cells have the same corners, in another order.
-    padded = np.full((len(every), width), -1)
-    padded[np.repeat(np.arange(len(every)), every), _within(every)] = flat
-    _, first, uses = np.unique(np.sort(padded, axis=1), axis=0, return_index=True, return_counts=True)
-    outer = np.sort(first[uses == 1])
-    place = np.repeat(starts[outer], every[outer]) + _within(every[outer])
-    return Cells(np.full(len(outer), POLYGON, np.uint8), every[outer], flat[place])
+    padded = np.full((len(faces.sizes), int(faces.sizes.max(initial=0))), -1)
+    padded[np.repeat(np.arange(len(padded)), faces.sizes), _within(faces.sizes)] = faces.corners
+    return np.unique(np.sort(padded, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def boundary(cells: Cells) -> Cells:
+    """The faces of solid cells that belong to one of them only, as polygons with their normals outwards.
+
+    Raises:
+        FormatError: if there are solids whose faces are not known here.
+    """
+    faces = faces_of(cells)
+    number = alike(faces)
+    outer = np.flatnonzero(np.bincount(number)[number] == 1)
+    starts, sizes = (np.cumsum(faces.sizes) - faces.sizes)[outer], faces.sizes[outer]
+    place = np.repeat(starts, sizes) + _within(sizes)
+    return Cells(np.full(len(outer), POLYGON, np.uint8), sizes, faces.corners[place])
 
 
 def _solid_corners(cells: Cells, name: str) -> Ints:
