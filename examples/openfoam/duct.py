@@ -71,7 +71,7 @@ def files(case: Path, scale: float) -> None:
     steps.write(case / "system" / "blockMeshDict", "\n".join([*lines, ");", ""]))
 
 
-EXAMPLE = steps.Example("duct", files, (("blockMesh",),), "losseslosses", SETTINGS, 0.01)
+EXAMPLE = steps.Example("duct", files, (("blockMesh",),), "losseslosses", SETTINGS, 0.005)
 
 if __name__ == "__main__":
     sys.exit(steps.main(EXAMPLE))

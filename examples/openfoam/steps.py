@@ -52,7 +52,7 @@ class State(NamedTuple):
     skewness: float
 
 
-class Failure(Exception):
+class StepError(Exception):
     """A command did not do what the example needs."""
 
 
@@ -70,9 +70,9 @@ def main(example: Example, arguments: list[str] | None = None) -> int:
     if options.out.exists() and (not options.out.is_dir() or any(options.out.iterdir())):
         return complain(f"{options.out} exists already: give another directory, or remove it", 2)
     try:
-        carry_out(example, options.out, options.scale, options.step or [example.step])
-    except Failure as failure:
-        return complain(str(failure), 1)
+        carry_out(example, options)
+    except StepError as error:
+        return complain(str(error), 1)
     return 0
 
 
@@ -83,39 +83,41 @@ def parser(example: Example) -> argparse.ArgumentParser:
         "printed as the command that is run."
     )
     made.add_argument("out", type=Path, metavar="OUT", help="directory to make, such as outputs/" + example.name)
+    made.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="more settings of the run, such as figures=false")
     made.add_argument(
         "--step",
         type=float,
         nargs="+",
         metavar="S",
-        help=f"the largest displacement as a fraction of the diagonal of the design ({example.step:g}); of several, each "
+        help=f"the largest displacement, a fraction of the diagonal of the design ({example.step:g}); of several, each "
         "is tried",
     )
     made.add_argument("--scale", type=float, default=1.0, help="cells along each edge of the mesh, relative to 1")
     return made
 
 
-def carry_out(example: Example, out: Path, scale: float, sizes: list[float]) -> None:
+def carry_out(example: Example, options: argparse.Namespace) -> None:
     """Carry out all steps, and print the table.
 
     Raises:
-        Failure: if one of them fails.
+        StepError: if one of them fails.
     """
-    started = time.perf_counter()
+    started, out = time.perf_counter(), options.out
     if "WM_PROJECT_DIR" not in os.environ and DEBIAN.is_dir():
         os.environ["WM_PROJECT_DIR"] = str(DEBIAN)  # Debian's package sets none, and its tools want one
         print(f"$ export WM_PROJECT_DIR={DEBIAN}")
     case, run = out / "case", out / "run"
     out.mkdir(parents=True, exist_ok=True)
     shell("cp", "-r", HERE / example.name, case)
-    example.files(case, scale)
+    example.files(case, options.scale)
     for command in example.meshing:
         foam(case, *command)
     quality = checked(case, "-constant")
     before = State(solved(example, case), *quality)
-    python("rbfevo", "scenario=mesh", f"scenario.template={case}", *example.settings, *SEARCH, f"hydra.run.dir={run}")
+    settings = (*example.settings, *SEARCH, *options.settings)
+    python("rbfevo", "scenario=mesh", f"scenario.template={case}", *settings, f"hydra.run.dir={run}")
     rows = []
-    for size in sizes:
+    for size in options.step or [example.step]:
         export, moved = out / f"export-{size:g}", out / f"step-{size:g}"
         printed = python(
             *("rbfevo.export", run, "--pick", "potential:0.95", "--rule", "max-norm"),
@@ -123,7 +125,7 @@ def carry_out(example: Example, out: Path, scale: float, sizes: list[float]) -> 
         )
         found = re.search(r"predicted change of the objective: (\S+)", printed)
         if found is None:
-            raise Failure("rbfevo.export predicts no change of the objective")
+            raise StepError("rbfevo.export predicts no change of the objective")
         shell("mkdir", moved)
         shell("cp", "-r", *(case / part for part in ("0", "constant", "system")), moved)
         python(
@@ -160,7 +162,7 @@ def checked(case: Path, when: str) -> tuple[float, float]:
     """The largest non-orthogonality and skewness of a mesh that checkMesh passes."""
     text = foam(case, "checkMesh", when)
     if "Mesh OK." not in text:
-        raise Failure(f"checkMesh does not pass: {case}/log.checkMesh")
+        raise StepError(f"checkMesh does not pass: {case}/log.checkMesh")
     numbers = [re.search(pattern, text) for pattern in (r"non-orthogonality Max: (\S+)", r"Max skewness = (\S+)")]
     return tuple(float(found[1]) if found else float("nan") for found in numbers)  # pyright: ignore[reportReturnType]
 
@@ -181,7 +183,7 @@ def foam(case: Path, *command: str) -> str:
         code = subprocess.run(words, stdout=stream, stderr=subprocess.STDOUT, check=False).returncode
     text = log.read_text(errors="replace")
     if code:
-        raise Failure(f"{command[0]} ends with exit code {code}: {' '.join(text[-300:].split())} ({log})")
+        raise StepError(f"{command[0]} ends with exit code {code}: {' '.join(text[-300:].split())} ({log})")
     return text
 
 
@@ -203,7 +205,7 @@ def _run(words: list[str]) -> str:
     done = subprocess.run(words, stdout=subprocess.PIPE, text=True, check=False)
     print(done.stdout, end="", flush=True)
     if done.returncode:
-        raise Failure(f"{shlex.join(words[:3])} ends with exit code {done.returncode}")
+        raise StepError(f"{shlex.join(words[:3])} ends with exit code {done.returncode}")
     return done.stdout
 
 
