@@ -83,7 +83,9 @@ def parser(example: Example) -> argparse.ArgumentParser:
         "printed as the command that is run."
     )
     made.add_argument("out", type=Path, metavar="OUT", help="directory to make, such as outputs/" + example.name)
-    made.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="more settings of the run, such as figures=false")
+    made.add_argument(
+        "settings", nargs="*", metavar="KEY=VALUE", help="more settings of the run, such as figures=false"
+    )
     made.add_argument(
         "--step",
         type=float,

@@ -1,0 +1,172 @@
+"""The examples of OpenFOAM, where it is installed: from the mesh to an objective that falls by what was predicted."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from rbfevo.arrays import Ints
+from rbfevo.meshes.mesh import Mesh
+from rbfevo.meshes.openfoam import case_of, read_case
+from rbfevo.scenarios import mesh
+
+ROOT = Path(__file__).parents[1]
+TOOLS = ("blockMesh", "snappyHexMesh", "checkMesh", "adjointOptimisationFoam")
+MISSING = [tool for tool in TOOLS if shutil.which(tool) is None]
+SHORT = ("figures=false", "method.starts=16", "method.population=16", "method.generations=5")
+needs_openfoam = pytest.mark.skipif(bool(MISSING), reason=f"OpenFOAM is not installed: {', '.join(MISSING)} missing")
+
+
+class Case(NamedTuple):
+    """An example and the options of its short run: the scale of its mesh and the size of its step."""
+
+    name: str
+    patch: str
+    scale: float
+    step: float
+
+
+class Done(NamedTuple):
+    """What a run of an example leaves."""
+
+    case: Case
+    out: Path
+    printed: str
+    step: str
+
+
+DUCT, BODY = Case("duct", "bend", 0.6, 0.0025), Case("body", "body", 0.9, 0.01)
+
+
+def run(out: Path, case: Case, *arguments: str, step: float | None = None) -> Done:
+    words = [sys.executable, f"examples/openfoam/{case.name}.py", str(out), *arguments]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
+    (directory,) = [path.name for path in out.iterdir() if path.name.startswith("step-")]
+    if step is not None:
+        assert directory == f"step-{step:g}"
+    return Done(case, out, done.stdout, directory)
+
+
+@pytest.fixture(scope="module", params=[DUCT, BODY], ids=lambda case: case.name)
+def done(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Done:
+    """A short run of each example, on a coarser mesh."""
+    case: Case = request.param
+    out = tmp_path_factory.mktemp(case.name) / "out"
+    return run(out, case, *SHORT, "--scale", str(case.scale), "--step", str(case.step), step=case.step)
+
+
+def mesh_of(path: Path) -> Mesh:
+    case = case_of(path)
+    assert case is not None
+    return read_case(case)
+
+
+def points_of(mesh: Mesh, patch: str) -> Ints:
+    ends = np.cumsum(mesh.cells.sizes)
+    spans = [slice(ends[face] - mesh.cells.sizes[face], ends[face]) for face in mesh.patches[patch]]
+    return np.unique(np.concatenate([mesh.cells.corners[span] for span in spans]))
+
+
+def objective_falls_as_predicted(done: Done) -> None:
+    """By the table that the example prints, and by checkMesh's and the solver's own files."""
+    row = done.printed.split("|---|")[-1].splitlines()[1]
+    before, after, predicted, real = (float(number) for number in re.findall(r"[-+]?\d+\.\d{5}", row)[:4])
+    name = {"duct": "losseslosses", "body": "dragdrag"}[done.case.name]
+    for part, value in (("case", before), (done.step, after)):
+        written = (done.out / part / "optimisation" / "objective" / "0" / name).read_text().splitlines()[-1]
+        assert float(written.split()[1]) == pytest.approx(value, abs=1e-5)
+        assert "Mesh OK." in (done.out / part / "log.checkMesh").read_text()
+    assert after < before
+    assert real == pytest.approx(after - before, abs=2e-5)
+    assert abs(real - predicted) < abs(predicted) / 3
+    assert "Time = 0" in (done.out / done.step / "log.checkMesh").read_text()  # the mesh of the time was checked
+
+
+def design_patch_alone_moves(done: Done) -> None:
+    before, after = mesh_of(done.out / "case"), mesh_of(done.out / done.step / "0")
+    design = points_of(before, done.case.patch)
+    for patch in set(before.patches) - {done.case.patch, "symmetry"}:
+        own = points_of(before, patch)
+        assert np.array_equal(before.points[own].view(np.int64), after.points[own].view(np.int64)), patch
+    plane = points_of(before, "symmetry")
+    assert np.array_equal(before.points[plane, 1], after.points[plane, 1])
+    moved = np.linalg.norm(after.points - before.points, axis=1)
+    diagonal = np.linalg.norm(np.ptp(before.points[design], axis=0))
+    share = float(done.step.removeprefix("step-"))
+    assert moved[design].max() == pytest.approx(share * diagonal, rel=1e-3)
+    assert moved.max() <= moved[design].max() * (1 + 1e-9)
+
+
+@needs_openfoam
+def test_the_objective_falls_as_predicted_on_a_mesh_that_passes(done: Done) -> None:
+    objective_falls_as_predicted(done)
+
+
+@needs_openfoam
+def test_only_the_patch_of_the_design_moves(done: Done) -> None:
+    design_patch_alone_moves(done)
+
+
+@needs_openfoam
+def test_a_scalar_sensitivity_needs_no_keys_and_points_as_the_vector_does(done: Done) -> None:
+    case = done.out / "case"
+    names = [name for name in mesh_of(case).arrays if name.startswith("pointSensNormal")]
+    (vector,) = [name for name in names if name.startswith("pointSensNormalVec")]
+    (scalar,) = set(names) - {vector}
+    ours, theirs = (
+        mesh(str(case), patches=[done.case.patch], sensitivity=name).gradient.numpy() for name in (scalar, vector)
+    )
+    assert (ours * theirs).sum() / np.linalg.norm(ours) / np.linalg.norm(theirs) > 0.9
+
+
+@needs_openfoam
+def test_every_step_is_printed_as_the_command_that_it_runs(done: Done) -> None:
+    commands = [line[2:] for line in done.printed.splitlines() if line.startswith("$ ")]
+    programs = [line.split()[2] if line.startswith("python") else line.split()[0] for line in commands]
+    made = ["blockMesh"] if done.case == DUCT else ["blockMesh", "snappyHexMesh"]
+    assert [name for name in programs if name not in ("export", "cp", "mkdir")] == [
+        *(*made, "checkMesh", "adjointOptimisationFoam", "rbfevo", "rbfevo.export", "rbfevo.apply"),
+        *("checkMesh", "adjointOptimisationFoam"),
+    ]
+
+
+@needs_openfoam
+@pytest.mark.slow
+@pytest.mark.parametrize("case", [DUCT, BODY], ids=lambda case: case.name)
+def test_the_whole_example(case: Case, tmp_path: Path) -> None:
+    whole = run(tmp_path / "out", case)
+    objective_falls_as_predicted(whole)
+    design_patch_alone_moves(whole)
+
+
+@pytest.mark.parametrize("name", ["duct", "body"])
+def test_without_openfoam_one_line_says_what_is_missing(name: str, tmp_path: Path) -> None:
+    words = [sys.executable, f"examples/openfoam/{name}.py", str(tmp_path / "out")]
+    environment = os.environ | {"PATH": str(tmp_path)}
+    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"{name}.py: OpenFOAM's blockMesh, ")
+    assert "apt-get install openfoam" in line
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_openfoam
+def test_a_directory_that_is_there_is_not_touched(tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    kept.write_text("mine")
+    words = [sys.executable, "examples/openfoam/duct.py", str(tmp_path)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "exists already" in done.stderr
+    assert list(tmp_path.iterdir()) == [kept]
