@@ -9,9 +9,21 @@ from pathlib import Path
 import numpy as np
 
 PATCHES = {  # by side: axis and end
-    **{"inlet": (0, 0), "outlet": (0, 1), "symmetry": (1, 0), "far": (1, 1), "bottom": (2, 0), "lid": (2, 1)},
+    "inlet": (0, 0),
+    "outlet": (0, 1),
+    "symmetry": (1, 0),
+    "far": (1, 1),
+    "bottom": (2, 0),
+    "lid": (2, 1),
 }
-TYPES = {"inlet": "patch", "outlet": "patch", "symmetry": "symmetryPlane", "far": "patch", "bottom": "wall", "lid": "wall"}
+TYPES = {
+    "inlet": "patch",
+    "outlet": "patch",
+    "symmetry": "symmetryPlane",
+    "far": "patch",
+    "bottom": "wall",
+    "lid": "wall",
+}
 DICTIONARY = """FoamFile { version 2.0; format ascii; class dictionary; object optimisationDict; }
 // a comment with { and ;
 area yes;
@@ -124,7 +136,7 @@ class Form:
         return f"{len(values)}\n(".encode() + values.astype(kind).tobytes() + b")\n"
 
 
-def write_mesh(root: Path, mesh: Box, form: Form = Form(), types: dict[str, str] | None = None) -> None:  # noqa: B008
+def write_mesh(root: Path, mesh: Box, form: Form = Form(), types: dict[str, str] | None = None) -> None:
     """Write constant/polyMesh."""
     where = root / "constant" / "polyMesh"
     form.write(where / "points", "vectorField", [("", mesh.points)])
@@ -143,7 +155,9 @@ def write_mesh(root: Path, mesh: Box, form: Form = Form(), types: dict[str, str]
         f"        nFaces {size};\n        startFace {start};\n    }}\n"
         for name, (start, size) in mesh.patches.items()
     )
-    Form(packed=form.packed).write(where / "boundary", "polyBoundaryMesh", [(f"{len(mesh.patches)}\n(\n{entries})\n", None)])
+    Form(packed=form.packed).write(
+        where / "boundary", "polyBoundaryMesh", [(f"{len(mesh.patches)}\n(\n{entries})\n", None)]
+    )
     (root / "system").mkdir(exist_ok=True)
 
 
@@ -153,16 +167,16 @@ def write_dictionary(root: Path, kind: str = "surfacePoints", area: str = "inclu
     (root / "system" / "optimisationDict").write_text(DICTIONARY % {"type": kind, "area": area})
 
 
-def write_points_field(root: Path, time: str, name: str, values: np.ndarray, form: Form = Form()) -> None:  # noqa: B008
+def write_points_field(root: Path, time: str, name: str, values: np.ndarray, form: Form = Form()) -> None:
     """Write a field of points."""
     vector = values.ndim > 1
     kind = "pointVectorField" if vector else "pointScalarField"
     head = f"dimensions [0 0 0 0 0 0 0];\ninternalField nonuniform List<{'vector' if vector else 'scalar'}>\n"
-    tail = ";\nboundaryField { \".*\" { type calculated; } }\n"
+    tail = ';\nboundaryField { ".*" { type calculated; } }\n'
     form.write(root / time / name, kind, [(head, values), (tail, None)])
 
 
-def write_faces_field(root: Path, time: str, name: str, of_patches: dict[str, np.ndarray], form: Form = Form()) -> None:  # noqa: B008
+def write_faces_field(root: Path, time: str, name: str, of_patches: dict[str, np.ndarray], form: Form = Form()) -> None:
     """Write a volume field with values on some patches."""
     vector = next(iter(of_patches.values())).ndim > 1
     kind, entry = ("volVectorField", "vector") if vector else ("volScalarField", "scalar")
@@ -172,6 +186,11 @@ def write_faces_field(root: Path, time: str, name: str, of_patches: dict[str, np
         ("inlet { type calculated; }\n", None),
     ]
     for name_of, values in of_patches.items():
-        parts += [(f"{name_of}\n{{\n    type calculated;\n    value nonuniform List<{entry}> ", values), (";\n}\n", None)]
-    parts.append((f"symmetry {{ type symmetryPlane; }}\nbottom {{ type calculated; value uniform {zero}; }}\n}}\n", None))
+        parts += [
+            (f"{name_of}\n{{\n    type calculated;\n    value nonuniform List<{entry}> ", values),
+            (";\n}\n", None),
+        ]
+    parts.append(
+        (f"symmetry {{ type symmetryPlane; }}\nbottom {{ type calculated; value uniform {zero}; }}\n}}\n", None)
+    )
     form.write(root / time / name, kind, parts)

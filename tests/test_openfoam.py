@@ -169,7 +169,7 @@ def test_a_directory_that_is_no_case_is_refused(tmp_path: Path) -> None:
         pass
 
 
-def template(root: Path, **settings: object):  # noqa: ANN201
+def template(root: Path, **settings: object):
     return mesh_scenario(str(root), patches=["lid"], hold=["inlet", "outlet"], hold_width=0.8, **settings)
 
 
@@ -208,7 +208,7 @@ def test_per_area_is_made_undone_by_full_areas_about_each_point(ducts: Box, tmp_
         ("surface", "", "nodal"),
         ("surface", "includeSurfaceArea true;", "nodal"),
         ("surface", "includeSurfaceArea off;", "density"),
-        ("surface", "includeSurfaceArea #calc \"1\";", None),
+        ("surface", 'includeSurfaceArea #calc "1";', None),
         ("surfacePoints", "", None),
     ],
 )
@@ -298,7 +298,9 @@ def lloyd(ducts: Box, tmp_path_factory: pytest.TempPathFactory) -> Path:
     arguments = [f"scenario.template={root}", "scenario.patches=[lid]", "scenario.hold=[inlet,outlet]", "centers=3"]
     more = ["scenario.hold_width=0.8", "kernel.support=1.5", "method=lloyd", "figures=false", "quiet=true"]
     assert main(["scenario=mesh", *arguments, *more, f"hydra.run.dir={directory / 'run'}"]) == 0
-    assert export.main([str(directory / "run"), "--pick", "knee", "--step", "0.02", "--out", str(directory / "step")]) == 0
+    assert (
+        export.main([str(directory / "run"), "--pick", "knee", "--step", "0.02", "--out", str(directory / "step")]) == 0
+    )
     return directory
 
 
@@ -391,14 +393,19 @@ def test_openfoam_takes_what_is_written(lloyd: Path, tmp_path: Path) -> None:
     shutil.copytree(lloyd / "case", root)
     shutil.rmtree(root / "200")
     assert applied(lloyd, "--out", str(root / "1"), "--quiet") == 0
-    control = "FoamFile { version 2.0; format ascii; class dictionary; object controlDict; }\nstartFrom latestTime; deltaT 1;"
-    control += " startTime 0; stopAt endTime; endTime 1; writeInterval 1; writeFormat %s; writePrecision 17; writeCompression %s;"
-    for name in ("fvSchemes", "fvSolution"):
-        (root / "system" / name).write_text("FoamFile { version 2.0; format ascii; class dictionary; object x; }\n")
-    expected = None
+    head = "FoamFile { version 2.0; format ascii; class dictionary; object x; }\n"
+    control = f"{head}startFrom latestTime; deltaT 1; startTime 0; stopAt endTime; endTime 1; writeInterval 1;"
+    control += " writePrecision 17; writeFormat %s; writeCompression %s;"
+    (root / "system" / "fvSolution").write_text(head)
+    schemes = ("ddt", "grad", "div", "laplacian", "interpolation", "snGrad")
+    (root / "system" / "fvSchemes").write_text(
+        head + "".join(f"{name}Schemes {{ default none; }}\n" for name in schemes)
+    )
     environment = {"WM_PROJECT_DIR": str(FOAM), "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
     (root / "system" / "controlDict").write_text(control % ("ascii", "off"))
-    done = subprocess.run(["checkMesh", "-latestTime"], cwd=root, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["checkMesh", "-latestTime"], cwd=root, env=environment, capture_output=True, text=True, check=False
+    )
     assert "Mesh OK." in done.stdout, done.stdout[-2000:]
     with opened(root) as found:
         expected = found.points
