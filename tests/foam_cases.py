@@ -23,6 +23,7 @@ TYPES = {
     "far": "patch",
     "bottom": "wall",
     "lid": "wall",
+    "body": "wall",
 }
 DICTIONARY = """FoamFile { version 2.0; format ascii; class dictionary; object optimisationDict; }
 // a comment with { and ;
@@ -103,6 +104,32 @@ def box(nx: int = 6, ny: int = 3, nz: int = 3) -> Box:
     return Box(points, faces, np.array(owner), np.array([face[1] for face in inner]), patches)
 
 
+def renumbered(mesh: Box, cell: int) -> Box:
+    """The mesh with a cell as the last one; faces are wound from the lower to the higher number."""
+    last = int(max(mesh.owner.max(), mesh.neighbour.max()))
+    numbers = np.arange(last + 1)
+    numbers[cell + 1 :] -= 1
+    numbers[cell] = last
+    owner, neighbour = numbers[mesh.owner], numbers[mesh.neighbour]
+    faces = [list(face) for face in mesh.faces]
+    for i, own in enumerate(neighbour):
+        if owner[i] > own:
+            owner[i], neighbour[i] = own, owner[i]
+            faces[i] = faces[i][::-1]
+    return Box(mesh.points, faces, owner, neighbour, mesh.patches)
+
+
+def hollow(mesh: Box, cell: int) -> Box:
+    """The mesh without a cell in its inside, whose faces become the patch `body`, the last one."""
+    last, inner = renumbered(mesh, cell), len(mesh.neighbour)
+    gone = last.neighbour == last.neighbour.max()
+    hole = np.flatnonzero(gone)
+    kept = [*np.flatnonzero(~gone), *range(inner, len(last.faces)), *hole]
+    patches = {name: (start - len(hole), size) for name, (start, size) in last.patches.items()}
+    patches["body"] = (len(last.faces) - len(hole), len(hole))
+    return Box(last.points, [last.faces[i] for i in kept], last.owner[kept], last.neighbour[~gone], patches)
+
+
 @dataclasses.dataclass(frozen=True)
 class Form:
     """How numbers are written."""
@@ -117,7 +144,8 @@ class Form:
         """Write a file: pieces of text, each perhaps followed by a list."""
         arch = f'arch "{self.order};label={self.label};scalar={self.scalar}"; ' if self.binary else ""
         form = "binary" if self.binary else "ascii"
-        content = f"/* banner */\nFoamFile {{ version 2.0; format {form}; class {kind}; {arch}object {path.name}; }}\n".encode()
+        head = f"FoamFile {{ version 2.0; format {form}; class {kind}; {arch}object {path.name}; }}"
+        content = f"/* banner */\n{head}\n".encode()
         for text, values in parts:
             content += text.encode() + (b"" if values is None else self._list(values))
         path.parent.mkdir(parents=True, exist_ok=True)
