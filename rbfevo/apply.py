@@ -27,7 +27,8 @@ You give how far each control point moves (--displacements, in the unit of the m
 python -m rbfevo.export writes; every point of the mesh follows. The mesh can be the template of the run or any other
 one in the same place and unit: a finer surface, a volume mesh, a cloud. Everything else in its file is kept."""
 EPILOG = f"""Mesh formats: {", ".join(ending[1:] for ending in meshes.ENDINGS)}.
---out ends as --mesh does, or in one of {", ".join(meshes.CONVERSIONS)}."""
+--out ends as --mesh does, or in one of {", ".join(meshes.CONVERSIONS)}.
+Of an SU2 mesh, --out FILE.dat writes surface positions: SU2_DEF reads them with DV_KIND= SURFACE_FILE."""
 
 
 def parser() -> parsers.Parser:
@@ -49,6 +50,12 @@ def parser() -> parsers.Parser:
     )
     made.add_argument("--mesh", type=Path, required=True, metavar="FILE", help="the mesh to deform")
     made.add_argument("--out", type=Path, required=True, metavar="FILE", help="the file to write the deformed mesh to")
+    made.add_argument(
+        "--patches",
+        type=lambda text: text.split(","),
+        metavar="NAMES",
+        help="of an SU2 mesh and --out FILE.dat: the markers to write, as in wing,tail (default: all)",
+    )
     made.add_argument("--force", action="store_true", help="write a volume mesh even if cells turn inside out")
     made.add_argument("--overwrite", action="store_true", help="replace --out if it exists")
     made.add_argument("--quiet", action="store_true", help="print only warnings")
@@ -89,10 +96,11 @@ def carry_out(options: argparse.Namespace) -> None:
                 f"{options.mesh}: its points have no z coordinate, but the setup moves them along z; "
                 "write a VTU file instead: --out FILE.vtu"
             )
-        turned = inverted(mesh, moved)
+        surface = meshes.only_surface(options.mesh, options.out)
+        turned = "" if surface else inverted(mesh, moved)  # SU2_DEF moves the inside in its own way
         if turned and not options.force:
             raise UserError(f"{options.mesh}: {turned}, or add --force to write the mesh anyway")
-        notes = meshes.write(mesh, options.mesh, moved, displacement, options.out)
+        notes = meshes.write(mesh, options.mesh, moved, displacement, options.out, options.patches)
         centers = chosen.moved(rows) if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
         largest = float(np.linalg.norm(centers, axis=1).max(initial=0.0))
@@ -108,6 +116,8 @@ def carry_out(options: argparse.Namespace) -> None:
 def refuse_out(options: argparse.Namespace) -> None:
     """Raise UserError if the result cannot be written to --out."""
     meshes.refuse_ending(options.mesh, options.out)
+    if options.patches is not None and not meshes.only_surface(options.mesh, options.out):
+        raise UserError("--patches: only surface positions of SU2 (--mesh FILE.su2 --out FILE.dat) are written in part")
     if options.out.exists() and not options.overwrite:
         raise UserError(f"--out {options.out} already exists: choose another file, or add --overwrite")
     if options.out.is_dir():
