@@ -55,6 +55,7 @@ def test_surface_adjoint_csv_in_any_order(d: int, first: str, tmp_path: Path) ->
     expected[:, :d] = -vectors[rows]
     np.testing.assert_allclose(wanted(found), expected, rtol=1e-13, atol=1e-15)
     assert f"rows by '{first}', from 0, coordinates agree to" in found.notes["sensitivity rows"]
+    assert "of SU2_CFD_AD, since there are Adjoint_ columns" in found.notes["sensitivity rows"]
     assert "inward normal" in found.notes["scalar sensitivity"]
     assert "as SU2_CFD_AD writes it of a body" in found.notes["scalar sensitivity"]
 
@@ -69,6 +70,7 @@ def test_surface_sens_vtu_is_matched_by_coordinates(d: int, tmp_path: Path) -> N
     note = found.notes["sensitivity rows"]
     assert "rows by coordinates" in note
     assert "single precision: a CSV with all digits" in note
+    assert "SU2_CFD_AD" not in note
     assert "outward normal" in found.notes["scalar sensitivity"]
     assert "as SU2_DOT writes it of a body" in found.notes["scalar sensitivity"]
     scalar = built(tmp_path, d, sensitivity=f"{path}:Surface_Sensitivity", sensitivity_normal="outward")

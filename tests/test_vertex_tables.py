@@ -193,3 +193,15 @@ def test_kratos_by_numbers_of_nodes_and_by_vtk(tmp_path: Path) -> None:
     for source in (by_numbers, str(tmp_path / "shell_0_1.vtk")):
         made = mesh(template=str(tmp_path / "shell.mdpa"), patches=["design"], sensitivity=source)
         np.testing.assert_allclose(made.gradient.numpy() * made.gradient_norm, -s, rtol=1e-12)
+
+
+def test_fluents_sensitivities_of_one_observable(tmp_path: Path) -> None:
+    """The count of observables, their names, the count of rows, and rows of coordinates and three components."""
+    rows = lines("", *POINTS[ORDER].T, *VECTORS[ORDER].T, between=" ")
+    one = found(write(tmp_path, "a.txt", f"1\npressure-drop\n5\n{rows}"))
+    np.testing.assert_array_equal(one.values, VECTORS[ROWS])
+    assert "observable pressure-drop" in one.note
+    several = write(tmp_path, "b.txt", f"2\npressure-drop\npressure\n5\n{rows}")
+    assert "it holds several observables (pressure-drop, pressure); export" in refusal(several)
+    short = write(tmp_path, "c.txt", f"1\npressure-drop\n6\n{rows}")
+    assert "it announces 6 rows, but has 5" in refusal(short)

@@ -84,6 +84,17 @@ def beside(columns: Columns, vector: Group) -> tuple[int, ...]:
     return next((group.columns for group in columns.values if group.name == SCALAR), ())
 
 
+def remarks(table: Table, columns: Columns, vector: Group) -> list[str]:
+    """What else the names of a table's columns say about its sensitivities, a line each."""
+    adjoint = any(name.strip().lower().startswith("adjoint_") for name in table.header or [])
+    if not adjoint or not beside(columns, vector):
+        return []
+    return [
+        "of SU2_CFD_AD, since there are Adjoint_ columns: derivatives with the inside of the mesh at rest; those of "
+        "SU2_DOT (surface_sens) are with the inside following the surface"
+    ]
+
+
 def _are_ids(table: Table, column: int, top: int) -> bool:
     """Whether a column holds unequal whole numbers from 0 to `top`."""
     try:

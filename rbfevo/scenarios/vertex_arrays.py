@@ -154,15 +154,17 @@ def _by_order(values: Array, template: Template, kind: str) -> VertexArray:
 def _of_table(table: Table, template: Template, what: str, match: str, kind: str, named: str) -> VertexArray:
     """The values of a table, each at its vertex."""
     beside: tuple[int, ...] = ()
+    remarks = list(table.notes)
     if table.header is None:
         columns, values = _without_header(table, template)
     else:
         columns = quantities.settled(recognized(table.header), table, template)
         group = quantities.chosen(table, columns, what, named)
         values, beside = group.columns, quantities.beside(columns, group)
+        remarks += quantities.remarks(table, columns, group)
     if not columns.coordinates and not columns.ids:
         found = _by_order(table.numbers(values), template, kind)
-        note = "; ".join([_titled(table, values) + found.note, *table.notes])
+        note = "; ".join([_titled(table, values) + found.note, *remarks])
         return found._replace(note=note, names=_columns(table, values))
     found = _matched(table, columns, template, match)
     numbers = table.numbers(values)
@@ -173,7 +175,7 @@ def _of_table(table: Table, template: Template, what: str, match: str, kind: str
     if bad and found.places is not None:
         raise UserError(f"{bad} of its {len(numbers)} rows have values that are not finite (NaN or infinite)")
     carried = _fitting(matching.interpolated(numbers, found, template), template)
-    note = "; ".join([_titled(table, values) + found.note, *table.notes])
+    note = "; ".join([_titled(table, values) + found.note, *remarks])
     scalar = table.numbers(beside)[found.rows, 0] if beside and not other else None
     return VertexArray(carried, note, other, _columns(table, values), scalar)
 
