@@ -75,10 +75,10 @@ def read_table(content: bytes) -> TextTable:
 
     Comments begin with #, //, % or !; the last one before the rows is their header if it has as many names (COMSOL). A
     first line `sep=;` names the separator (Excel); `[Data]` begins the rows (CFD-Post); a first line with one whole
-    number is their count, and names may follow, one on each line (Fluent); or it is the count of observables, whose names
-    and the count of rows follow (Fluent's sensitivities), of which there may be one. Numbers may have decimal commas where these
-    separate nothing, and D in the place of E (Fortran). A last row that begins with text (`Total`) is left out, with
-    a note.
+    number is their count, and names may follow, one on each line (Fluent), or it is the number of observables, one,
+    whose name and the count of rows follow (Fluent's export of sensitivities). Numbers may have decimal commas where
+    these separate nothing, and D in the place of E (Fortran). A last row that begins with text (`Total`) is left out,
+    with a note.
 
     Raises:
         FormatError: if there are no rows, or not all have as many fields as the first.
