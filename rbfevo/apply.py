@@ -29,7 +29,8 @@ python -m rbfevo.export writes; every point of the mesh follows. The mesh can be
 one in the same place and unit: a finer surface, a volume mesh, a cloud. Everything else in its file is kept."""
 EPILOG = f"""Mesh formats: {", ".join(ending[1:] for ending in meshes.ENDINGS)}.
 --out ends as --mesh does, or in one of {", ".join(meshes.CONVERSIONS)}.
-Of an OpenFOAM case, --mesh is its directory and --out the directory of a time, such as CASE/1."""
+Of an OpenFOAM case, --mesh is its directory and --out the directory of a time, such as CASE/1.
+Of an SU2 mesh, --out FILE.dat writes surface positions: SU2_DEF reads them with DV_KIND= SURFACE_FILE."""
 
 
 def parser() -> parsers.Parser:
@@ -57,6 +58,12 @@ def parser() -> parsers.Parser:
         choices=FORMS,
         default=FORMS[0],
         help="of an OpenFOAM case: the points of time OUT (default), or OUT/pointDisplacement for its own mover",
+    )
+    made.add_argument(
+        "--patches",
+        type=lambda text: text.split(","),
+        metavar="NAMES",
+        help="of an SU2 mesh and --out FILE.dat: the markers to write, as in wing,tail (default: all)",
     )
     made.add_argument("--force", action="store_true", help="write a volume mesh even if cells turn inside out")
     made.add_argument("--overwrite", action="store_true", help="replace --out if it exists")
@@ -98,10 +105,11 @@ def carry_out(options: argparse.Namespace) -> None:
                 f"{options.mesh}: its points have no z coordinate, but the setup moves them along z; "
                 "write a VTU file instead: --out FILE.vtu"
             )
-        turned = inverted(mesh, moved)
+        surface = meshes.only_surface(options.mesh, options.out)
+        turned = "" if surface else inverted(mesh, moved)  # SU2_DEF moves the inside in its own way
         if turned and not options.force:
             raise UserError(f"{options.mesh}: {turned}, or add --force to write the mesh anyway")
-        notes = meshes.write(mesh, options.mesh, moved, displacement, out)
+        notes = meshes.write(mesh, options.mesh, moved, displacement, out, options.patches)
         centers = chosen.moved(rows) if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
         largest = float(np.linalg.norm(centers, axis=1).max(initial=0.0))
@@ -142,6 +150,8 @@ def target(options: argparse.Namespace) -> Path:
 
 def refuse_out(options: argparse.Namespace) -> None:
     """Raise UserError if the result cannot be written to the file --out."""
+    if options.patches is not None and not meshes.only_surface(options.mesh, options.out):
+        raise UserError("--patches: only surface positions of SU2 (--mesh FILE.su2 --out FILE.dat) are written in part")
     if options.out.exists() and not options.overwrite:
         raise UserError(f"--out {options.out} already exists: choose another file, or add --overwrite")
     if options.out.is_dir():
