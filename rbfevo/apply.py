@@ -15,6 +15,8 @@ from rbfevo.commands import parsers, volume
 from rbfevo.commands.center_rows import read_rows
 from rbfevo.errors import UserError
 from rbfevo.geometry.triangles import doubled_area_vectors
+from rbfevo.meshes.constraints import solid_faces
+from rbfevo.meshes.faces import Between
 from rbfevo.meshes.quality import qualities
 from rbfevo.recorded.moves import places_of
 from rbfevo.recorded.picks import pick
@@ -108,10 +110,10 @@ def carry_out(options: argparse.Namespace) -> None:
         meshes.refuse_bad_points(options.mesh, mesh.points)
         weights = rows if what == "weights" else chosen.weights(rows)
         displacement = chosen.displacement(mesh.points[:, : record.vertices.shape[1]], weights)
-        carried = None
-        if options.volume == "laplace" and np.isfinite(displacement).all():
+        faces, carried = known_faces(mesh, options), None
+        if options.volume == "laplace" and faces is not None and np.isfinite(displacement).all():
             try:
-                carried = volume.carried(mesh, record, chosen, displacement, options.design, options.slip)
+                carried = volume.carried(mesh, faces, record, chosen, displacement, options.design, options.slip)
             except UserError as error:
                 raise UserError(f"{options.mesh}: {error}") from None
             displacement = carried.displacement
@@ -130,12 +132,19 @@ def carry_out(options: argparse.Namespace) -> None:
         centers = chosen.moved(rows) if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
         largest = float(np.linalg.norm(centers, axis=1).max(initial=0.0))
+        quality = None if faces is None else qualities(mesh.points, moved, faces)
         doubts = [*warnings(record, chosen, mesh, moved, None if carried else length, largest), *doubts]
+        if quality and quality[0].non_orthogonality <= 90.0 < quality[1].non_orthogonality:
+            doubts.append("the worst non-orthogonality exceeds 90 degrees: faces of cells are turned over")
         for warning in [*doubts, *([carried.jump] if carried and carried.jump else [])]:
             print(f"warning: {warning}", file=sys.stderr, flush=True)
-        if not options.quiet:
-            notes += [carried.line] if carried else []
-            notes += quality_lines(mesh, moved)
+        notes += [carried.line] if carried else []
+        if quality:
+            before, after = quality
+            notes.append(
+                f"worst non-orthogonality {before.non_orthogonality:.1f} degrees before, {after.non_orthogonality:.1f} "
+                f"after; worst skewness {before.skewness:.3g} before, {after.skewness:.3g} after"
+            )
     if not options.quiet:
         for note in notes:
             print(f"note: {note}")
@@ -213,19 +222,22 @@ def inverted(mesh: meshes.Mesh, moved: Array) -> str:
     )
 
 
-def quality_lines(mesh: meshes.Mesh, moved: Array) -> list[str]:
-    """The worst non-orthogonality and skewness of a volume mesh before and after a move; no line for other meshes."""
+def known_faces(mesh: meshes.Mesh, options: argparse.Namespace) -> Between | None:
+    """The faces of a mesh's solid cells; None if there are none, or some of a kind whose faces are not known.
+
+    Raises:
+        UserError: with --volume laplace, which needs them.
+    """
+    if options.volume == "laplace":
+        try:
+            return solid_faces(mesh.cells)
+        except UserError as error:
+            raise UserError(f"{options.mesh}: {error}") from None
     try:
-        found = qualities(mesh.points, moved, mesh.cells)
-    except meshes.FormatError:  # solids whose faces are not known
-        return []
-    if found is None:
-        return []
-    before, after = found
-    return [
-        f"worst non-orthogonality {before.non_orthogonality:.1f} degrees before, {after.non_orthogonality:.1f} after; "
-        f"worst skewness {before.skewness:.3g} before, {after.skewness:.3g} after"
-    ]
+        faces = meshes.cells.faces_of(mesh.cells)
+    except meshes.FormatError:
+        return None
+    return Between.of(faces) if len(faces.sizes) else None
 
 
 def _boxes(record: Record, lowest: Array, highest: Array) -> str:
