@@ -11,10 +11,13 @@ import numpy as np
 
 from rbfevo import meshes
 from rbfevo.arrays import Array
-from rbfevo.commands import parsers
+from rbfevo.commands import parsers, volume
 from rbfevo.commands.center_rows import read_rows
 from rbfevo.errors import UserError
 from rbfevo.geometry.triangles import doubled_area_vectors
+from rbfevo.meshes.constraints import solid_faces
+from rbfevo.meshes.faces import Between
+from rbfevo.meshes.quality import qualities
 from rbfevo.recorded.moves import places_of
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
@@ -26,7 +29,11 @@ DESCRIPTION = """Deform a mesh with the control points of one setup of a run.
 
 You give how far each control point moves (--displacements, in the unit of the mesh), as in the displacements.csv that
 python -m rbfevo.export writes; every point of the mesh follows. The mesh can be the template of the run or any other
-one in the same place and unit: a finer surface, a volume mesh, a cloud. Everything else in its file is kept."""
+one in the same place and unit: a finer surface, a volume mesh, a cloud. Everything else in its file is kept.
+
+With --volume laplace the points of the design surface alone move as the setup says. The inside of a volume mesh is
+carried along by a Laplacian over the edges of its cells; the rest of the boundary is held, and slides in symmetry
+planes: patches of type symmetryPlane, symmetry or empty, or else what lies in the run's own planes."""
 EPILOG = f"""Mesh formats: {", ".join(ending[1:] for ending in meshes.ENDINGS)}.
 --out ends as --mesh does, or in one of {", ".join(meshes.CONVERSIONS)}.
 Of an OpenFOAM case, --mesh is its directory and --out the directory of a time, such as CASE/1.
@@ -65,6 +72,28 @@ def parser() -> parsers.Parser:
         metavar="NAMES",
         help="of an SU2 mesh and --out FILE.dat: the markers to write, as in wing,tail (default: all)",
     )
+    made.add_argument(
+        "--volume",
+        choices=("rbf", "laplace"),
+        default="rbf",
+        help="how points inside a volume mesh move: as the RBFs say (rbf, the default), or carried along by the design "
+        "surface (laplace)",
+    )
+    made.add_argument(
+        "--design",
+        action="append",
+        default=[],
+        metavar="PATCH",
+        help="for laplace: a patch of the design surface (give it once for each); without, the design surface is the "
+        "boundary points that are vertices of the run's template",
+    )
+    made.add_argument(
+        "--slip",
+        action="append",
+        default=[],
+        metavar="PATCH",
+        help="for laplace: a further patch whose points slide in its plane, across x, y or z",
+    )
     made.add_argument("--force", action="store_true", help="write a volume mesh even if cells turn inside out")
     made.add_argument("--overwrite", action="store_true", help="replace --out if it exists")
     made.add_argument("--quiet", action="store_true", help="print only warnings")
@@ -97,6 +126,13 @@ def carry_out(options: argparse.Namespace) -> None:
         meshes.refuse_bad_points(options.mesh, mesh.points)
         weights = rows if what == "weights" else chosen.weights(rows)
         displacement = chosen.displacement(mesh.points[:, : record.vertices.shape[1]], weights)
+        faces, carried = known_faces(mesh, options), None
+        if options.volume == "laplace" and faces is not None and np.isfinite(displacement).all():
+            try:
+                carried = volume.carried(mesh, faces, record, chosen, displacement, options.design, options.slip)
+            except UserError as error:
+                raise UserError(f"{options.mesh}: {error}") from None
+            displacement = carried.displacement
         moved = mesh.points + displacement
         if not np.isfinite(moved).all():
             raise UserError(f"--{what} {path}: its values are so large that deformed points are not finite")
@@ -107,14 +143,26 @@ def carry_out(options: argparse.Namespace) -> None:
             )
         surface = meshes.only_surface(options.mesh, options.out)
         turned = "" if surface else inverted(mesh, moved)  # SU2_DEF moves the inside in its own way
-        if turned and not options.force:
-            raise UserError(f"{options.mesh}: {turned}, or add --force to write the mesh anyway")
+        doubts = [line for line in (turned, carried.leaving if carried else "") if line]
+        if doubts and not options.force:
+            raise UserError(f"{options.mesh}: {'; and '.join(doubts)}, or add --force to write the mesh anyway")
         notes = meshes.write(mesh, options.mesh, moved, displacement, out, options.patches)
         centers = chosen.moved(rows) if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
         largest = float(np.linalg.norm(centers, axis=1).max(initial=0.0))
-        for warning in [*warnings(record, chosen, mesh, moved, length, largest), *([turned] if turned else [])]:
+        quality = None if faces is None else qualities(mesh.points, moved, faces)
+        doubts = [*warnings(record, chosen, mesh, moved, None if carried else length, largest), *doubts]
+        if quality and quality[0].non_orthogonality <= 90.0 < quality[1].non_orthogonality:
+            doubts.append("the worst non-orthogonality exceeds 90 degrees: faces of cells are turned over")
+        for warning in [*doubts, *([carried.jump] if carried and carried.jump else [])]:
             print(f"warning: {warning}", file=sys.stderr, flush=True)
+        notes += [carried.line] if carried else []
+        if quality:
+            before, after = quality
+            notes.append(
+                f"worst non-orthogonality {before.non_orthogonality:.1f} degrees before, {after.non_orthogonality:.1f} "
+                f"after; worst skewness {before.skewness:.3g} before, {after.skewness:.3g} after"
+            )
     if not options.quiet:
         for note in notes:
             print(f"note: {note}")
@@ -128,6 +176,8 @@ def target(options: argparse.Namespace) -> Path:
     Raises:
         UserError: if the result cannot be written there.
     """
+    if options.volume != "laplace" and (options.design or options.slip):
+        raise UserError(f"--{'design' if options.design else 'slip'} is for --volume laplace")
     meshes.refuse_ending(options.mesh, options.out)
     if options.mesh.is_dir():
         time: Path = options.out
@@ -161,9 +211,13 @@ def refuse_out(options: argparse.Namespace) -> None:
 
 
 def warnings(
-    record: Record, chosen: Setup, mesh: meshes.Mesh, moved: Array, length: Array, largest: float
+    record: Record, chosen: Setup, mesh: meshes.Mesh, moved: Array, length: Array | None, largest: float
 ) -> Iterator[str]:
-    """What may be wrong with a deformation, a line each: length [q] of the displacements, largest of a center."""
+    """What may be wrong with a deformation, a line each.
+
+    Args:
+        length: [q] of the displacements where all points follow the kernel; largest: of a displacement of a center.
+    """
     places = mesh.points[:, : record.vertices.shape[1]]
     lowest, highest = places.min(axis=0), places.max(axis=0)
     apart = bool((lowest > record.upper).any() or (highest < record.lower).any())
@@ -179,7 +233,7 @@ def warnings(
             return
     if apart:
         yield f"the mesh lies outside the box of the run; {_boxes(record, lowest, highest)}"
-    if chosen.support is None:
+    if chosen.support is None and length is not None:
         margin = 1e-9 * float(np.linalg.norm(record.upper - record.lower))
         outside = ((places < record.lower - margin) | (places > record.upper + margin)).any(axis=1)
         far = outside & (length > FAR * largest)
@@ -211,6 +265,24 @@ def inverted(mesh: meshes.Mesh, moved: Array) -> str:
         f"the displacements turn {', '.join(turned)} inside out or flat, and no solver can use such a mesh; "
         f"multiply the displacements by less than {share:.3g}"
     )
+
+
+def known_faces(mesh: meshes.Mesh, options: argparse.Namespace) -> Between | None:
+    """The faces of a mesh's solid cells; None if there are none, or some of a kind whose faces are not known.
+
+    Raises:
+        UserError: with --volume laplace, which needs them.
+    """
+    if options.volume == "laplace":
+        try:
+            return solid_faces(mesh.cells)
+        except UserError as error:
+            raise UserError(f"{options.mesh}: {error}") from None
+    try:
+        faces = meshes.cells.faces_of(mesh.cells)
+    except meshes.FormatError:
+        return None
+    return Between.of(faces) if len(faces.sizes) else None
 
 
 def _boxes(record: Record, lowest: Array, highest: Array) -> str:

@@ -102,10 +102,11 @@ class Mesh:
         arrays: numeric point arrays by name, float64 [n] or [n, k].
         cell_arrays: the same of the cells, [c] or [c, k].
         patches: named groups of cells (patches, markers, physical groups, element sets, parts): their numbers.
+        patch_types: the types of patches by their names, where the format has them: OpenFOAM's, such as wall, patch,
+            symmetryPlane, symmetry, empty.
         numbers: [n] int64, the file's own numbers of its points, where the format has them (Abaqus, Nastran, Gmsh).
         dimension: how many coordinates a point has in the file, 2 or 3.
         notes: one line each for what was accepted but is worth knowing, by a short title.
-        patch_types: what the solver takes each patch for, by its name, where the format says so (`symmetryPlane`, ...).
         meanings: what is known of sensitivities among the arrays, by their names.
         kept: what the user should know about writing it back, a line each.
     """
@@ -116,10 +117,10 @@ class Mesh:
     arrays: dict[str, Array] = dataclasses.field(default_factory=dict)
     cell_arrays: dict[str, Array] = dataclasses.field(default_factory=dict)
     patches: dict[str, Ints] = dataclasses.field(default_factory=dict)
+    patch_types: dict[str, str] = dataclasses.field(default_factory=dict)
     numbers: Ints | None = None
     dimension: int = 3
     notes: dict[str, str] = dataclasses.field(default_factory=dict)
-    patch_types: dict[str, str] = dataclasses.field(default_factory=dict)
     meanings: dict[str, Meaning] = dataclasses.field(default_factory=dict)
     kept: list[str] = dataclasses.field(default_factory=list)
 
