@@ -66,12 +66,15 @@ def test_ids_tell_apart_what_coordinates_cannot(tmp_path: Path) -> None:
     twins = template(vertices=same[ROWS])
     table = write(tmp_path, "a.csv", lines("id,x,y,z,v", ORDER, *same[ORDER].T, VALUES[ORDER]))
     np.testing.assert_array_equal(found(table, of=twins).values, PICKED)
-    close = np.zeros((5, 3))
-    close[:, 0] = [0.0, 1.0, 1.0 + 1e-6, 1.0 + 2e-6, 1.0 + 3e-6]
-    row = template(vertices=close, rows=np.arange(5), triangles=np.array([[0, 1, 2]]))
-    for first in (0, 1):  # a shift by one stays within the tolerance nearly everywhere
-        table = write(tmp_path, "b.csv", lines("id,x,y,z,v", ORDER + first, *close[ORDER].T, VALUES[ORDER]))
-        np.testing.assert_array_equal(found(table, of=row).values, VALUES)
+    fine = np.zeros((15001, 3))
+    fine[:, 0] = np.linspace(0.0, 1.0, len(fine))  # a shift by one stays within the tolerance everywhere
+    inner, values = np.arange(1, len(fine) - 1), np.sin(40.0 * fine[:, 0])
+    row = template(vertices=fine[inner], rows=inner, count=len(fine), triangles=np.array([[0, 1, 2]]))
+    order = np.random.default_rng(0).permutation(len(fine))
+    for first in (0, 1):
+        table = write(tmp_path, "b.csv", lines("id,x,y,z,v", order + first, *fine[order].T, values[order]))
+        np.testing.assert_array_equal(found(table, of=row).values, values[inner])
+        assert f"rows by 'id', from {first}, coordinates agree to 0" in found(table, of=row).note
 
 
 def test_two_coordinates_are_enough_in_a_plane(tmp_path: Path) -> None:

@@ -118,7 +118,7 @@ def read_table(content: bytes) -> TextTable:
         names = next((i for i, (_, line) in enumerate(rows[1:]) if line.strip().isdigit()), None)
         if names and int(rows[1 + names][1]) == count and not any(_split(line)[0] for _, line in rows[1 : 1 + names]):
             header, rows = [_name(line) for _, line in rows[1 : 1 + names]], rows[2 + names :]
-        elif names == count and not any(_split(line)[0] for _, line in rows[1 : 1 + names]):
+        elif names is not None and names == count and not any(_split(line)[0] for _, line in rows[1 : 1 + names]):
             observables = ", ".join(_name(line) for _, line in rows[1 : 1 + names])
             if count > 1:
                 raise FormatError(
