@@ -179,7 +179,7 @@ def target(options: argparse.Namespace) -> Path:
     if options.volume != "laplace" and (options.design or options.slip):
         raise UserError(f"--{'design' if options.design else 'slip'} is for --volume laplace")
     meshes.refuse_ending(options.mesh, options.out)
-    if options.mesh.is_dir():
+    if meshes.is_case(options.mesh):
         time: Path = options.out
         if not time.parent.is_dir():
             raise UserError(f"--out {time}: the directory {time.parent} does not exist; create it first")
@@ -231,6 +231,14 @@ def warnings(
                 f"{nearest:.4g} away), so nothing moves; {_boxes(record, lowest, highest)}"
             )
             return
+    if "case" in mesh.notes:
+        own = {tuple(point) for point in mesh.points.tolist()}
+        away = sum(tuple(point) not in own for point in record.vertices.tolist())
+        if away:
+            yield (
+                f"{away} of {len(record.vertices)} vertices of the run's template are not among the "
+                f"{mesh.notes['case']}; if the case has moved since the run, give --mesh an earlier time, as CASE/0"
+            )
     if apart:
         yield f"the mesh lies outside the box of the run; {_boxes(record, lowest, highest)}"
     if chosen.support is None and length is not None:

@@ -370,6 +370,27 @@ def test_a_step_becomes_the_points_of_a_time(lloyd: Path, ducts: Box, tmp_path: 
         np.testing.assert_array_equal(found.points, ducts.points + moved)
 
 
+def test_a_case_that_has_moved_since_the_run_gets_a_warning(
+    lloyd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "case"
+    shutil.copytree(lloyd / "case", root)
+    shutil.rmtree(root / "200")
+    assert applied(lloyd, "--out", str(root / "1"), "--quiet") == 0
+    assert capsys.readouterr().err == ""
+    step = ["--displacements", str(lloyd / "step" / "displacements.csv"), "--out", str(root / "2")]
+    command = [str(lloyd / "run"), "--pick", "knee", *step]
+    assert apply.main([*command, "--mesh", str(root)]) == 0
+    error = capsys.readouterr().err
+    assert "vertices of the run's template are not among the points of" in error
+    assert "1/polyMesh/points; if the case has moved" in error
+    assert apply.main([*command, "--mesh", str(root / "0"), "--overwrite", "--quiet"]) == 0
+    assert capsys.readouterr().err == ""
+    assert (root / "1/polyMesh/points").read_bytes().split()[14:] == (root / "2/polyMesh/points").read_bytes().split()[
+        9:
+    ]
+
+
 def test_results_are_not_overwritten_and_other_outputs_are_refused(
     lloyd: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,7 +34,18 @@ from rbfevo.meshes.stl import read_stl
 from rbfevo.meshes.su2 import read_su2, surface_positions
 from rbfevo.names import existing_home
 
-__all__ = ["CONVERSIONS", "ENDINGS", "FormatError", "Mesh", "cells", "only_surface", "opened", "refuse_ending", "write"]
+__all__ = [
+    "CONVERSIONS",
+    "ENDINGS",
+    "FormatError",
+    "Mesh",
+    "cells",
+    "is_case",
+    "only_surface",
+    "opened",
+    "refuse_ending",
+    "write",
+]
 
 OWN: dict[str, Callable[[bytes], Mesh]] = {
     ".obj": read_obj,
@@ -69,7 +80,7 @@ def opened(path: str | Path) -> Iterator[Mesh]:
             cannot be.
     """
     path = existing_home(path)
-    if path.is_dir() or (not path.exists() and case_of(path) is not None):
+    if is_case(path):
         yield _case(path)
         return
     refuse_missing(path)
@@ -99,6 +110,11 @@ def opened(path: str | Path) -> Iterator[Mesh]:
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise UserError(f"{path}: damaged: not a readable {ending[1:].upper()} file ({reason})") from None
         yield mesh
+
+
+def is_case(path: Path) -> bool:
+    """Whether a path is a directory, as a case is, or stands for time 0 of a case without a directory of it."""
+    return path.is_dir() or (not path.exists() and case_of(path) is not None)
 
 
 def _case(path: Path) -> Mesh:
@@ -166,7 +182,7 @@ def refuse_huge(path: Path | str, points: Array) -> None:
 
 def refuse_ending(mesh: Path, out: Path) -> None:
     """Raise UserError if a mesh of the ending of `mesh` cannot be written with that of `out`."""
-    if mesh.is_dir():
+    if is_case(mesh):
         if not is_time(out.parent if out.name == POINT_DISPLACEMENT else out):
             raise UserError(f"--out {out}: for a case give a directory with a time as its name, such as {mesh}/1")
         return
@@ -201,7 +217,7 @@ def write(
             raise UserError(f"{source}: {error}") from None
         write_whole(out, content)
         return notes
-    if source.is_dir() or wanted == given or _own(source, given) is None:
+    if is_case(source) or wanted == given or _own(source, given) is None:
         try:
             return [*([] if wanted != given else mesh.kept), *mesh.write(moved, displacement, out)]
         except FormatError as error:
