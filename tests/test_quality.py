@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from grids import hexahedra, polyhedra
 
-from rbfevo.meshes import cells
+from rbfevo.meshes import cells, faces
 from rbfevo.meshes.faces import Between, alike, edges_of
 from rbfevo.meshes.mesh import Cells
 from rbfevo.meshes.quality import Quality, qualities
@@ -56,6 +56,23 @@ def test_three_boxes_of_which_the_middle_one_slopes(height: float) -> None:
     assert after.skewness == pytest.approx(max(*inner, slope), abs=1e-12)
 
 
+def test_a_pyramid_on_a_box() -> None:
+    points, corners = hexahedra(np.array([0.0, 1.0]), np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    apex, top = [0.5 + 0.6, 0.5, 1.0 + 2.0], corners[0, 4:].tolist()
+    listed = Cells.of([12, 14], [corners[0].tolist(), [*top, 8]])
+    before, _ = quality(np.concatenate([points, [apex]]), np.concatenate([points, [apex]]), listed)
+    # The centre of a pyramid lies a quarter of the way from its base to its apex.
+    assert before.non_orthogonality == pytest.approx(np.degrees(np.arctan2(0.6 / 4, 0.5 + 2.0 / 4)), abs=1e-9)
+
+
+def test_keys_that_collide_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    sizes, listed = np.array([3, 3, 3]), np.array([0, 1, 2, 3, 4, 5, 2, 0, 1])
+    for factor in (faces._FACTOR, np.uint64(0)):
+        monkeypatch.setattr(faces, "_FACTOR", factor)
+        number = alike(sizes, listed)
+        assert number[0] == number[2] != number[1]
+
+
 def test_a_face_turned_over_exceeds_90_degrees() -> None:
     points, corners = hexahedra(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0]), np.array([0.0, 1.0]))
     moved = points.copy()
@@ -69,10 +86,10 @@ def test_a_face_turned_over_exceeds_90_degrees() -> None:
 
 def test_faces_and_edges_once_each() -> None:
     points, corners = hexahedra(np.arange(3.0), np.arange(4.0), np.arange(5.0))
-    faces = Between.of(cells.faces_of(Cells.blocks([(12, corners)])))
-    assert len(faces.sizes) == 3 * 3 * 4 + 2 * 4 * 4 + 2 * 3 * 5
-    assert len(faces.outer) == 2 * (2 * 3 + 3 * 4 + 2 * 4)
-    edges = edges_of(faces.sizes, faces.corners)
+    between = Between.of(cells.faces_of(Cells.blocks([(12, corners)])))
+    assert len(between.sizes) == 3 * 3 * 4 + 2 * 4 * 4 + 2 * 3 * 5
+    assert len(between.outer) == 2 * (2 * 3 + 3 * 4 + 2 * 4)
+    edges = edges_of(between.sizes, between.corners)
     assert len(edges) == 2 * 4 * 5 + 3 * 3 * 5 + 3 * 4 * 4
     np.testing.assert_array_equal(np.abs(points[edges[:, 0]] - points[edges[:, 1]]).sum(axis=1), 1)
     number = alike(np.array([3, 4, 3, 3]), np.array([4, 7, 1, 0, 1, 2, 3, 1, 4, 7, 1, 4, 8]))
@@ -86,23 +103,23 @@ KINDS = {10: 6, 12: 12, 13: 9, 14: 8, 11: 12}
 @pytest.mark.parametrize("kind", KINDS)
 def test_edges_of_every_kind(kind: int) -> None:
     corners = np.arange({10: 4, 12: 8, 13: 6, 14: 5, 11: 8}[kind])[None]
-    faces = cells.faces_of(Cells.blocks([(kind, corners)]))
-    edges = edges_of(faces.sizes, faces.corners)
+    listed = cells.faces_of(Cells.blocks([(kind, corners)]))
+    edges = edges_of(listed.sizes, listed.corners)
     assert len(edges) == KINDS[kind]
     if kind == 11:  # a voxel's corners count in binary: along an edge one digit changes
         assert all(bin(a ^ b).count("1") == 1 for a, b in edges.tolist())
 
 
-def write_case(case: Path, points: Any, faces: Between) -> None:
+def write_case(case: Path, points: Any, between: Between) -> None:
     """An OpenFOAM case of a mesh, with one patch."""
-    starts = np.cumsum(faces.sizes) - faces.sizes
-    corners = [faces.corners[s : s + k].tolist() for s, k in zip(starts, faces.sizes, strict=True)]
-    owner, neighbour = faces.owner.copy(), faces.neighbour.copy()
+    starts = np.cumsum(between.sizes) - between.sizes
+    corners = [between.corners[s : s + k].tolist() for s, k in zip(starts, between.sizes, strict=True)]
+    owner, neighbour = between.owner.copy(), between.neighbour.copy()
     inner = np.flatnonzero(neighbour >= 0)
     for face in inner[owner[inner] > neighbour[inner]]:
         owner[face], neighbour[face] = neighbour[face], owner[face]
         corners[face] = corners[face][::-1]
-    order = [*inner[np.lexsort((neighbour[inner], owner[inner]))], *faces.outer[np.argsort(owner[faces.outer])]]
+    order = [*inner[np.lexsort((neighbour[inner], owner[inner]))], *between.outer[np.argsort(owner[between.outer])]]
 
     def write(name: str, kind: str, rows: list[str]) -> None:
         head = f"FoamFile {{ version 2.0; format ascii; class {kind}; object {name}; }}\n"
@@ -114,7 +131,7 @@ def write_case(case: Path, points: Any, faces: Between) -> None:
     write("faces", "faceList", [f"{len(corners[f])}({' '.join(map(str, corners[f]))})" for f in order])
     write("owner", "labelList", [str(owner[f]) for f in order])
     write("neighbour", "labelList", [str(neighbour[f]) for f in order[: len(inner)]])
-    patch = f"all {{ type wall; nFaces {len(faces.outer)}; startFace {len(inner)}; }}"
+    patch = f"all {{ type wall; nFaces {len(between.outer)}; startFace {len(inner)}; }}"
     write("boundary", "polyBoundaryMesh", [patch])
     (case / "system").mkdir()
     header = "FoamFile { version 2.0; format ascii; class dictionary; object controlDict; }\n"
@@ -129,8 +146,8 @@ def write_case(case: Path, points: Any, faces: Between) -> None:
 def test_beside_check_mesh(tmp_path: Path) -> None:
     points, corners = hexahedra(np.linspace(0, 2, 7), np.linspace(0, 1, 5), np.linspace(0, 1.5, 6) ** 2)
     moved = points + 0.02 * np.random.default_rng(4).uniform(-1, 1, points.shape)
-    faces = Between.of(cells.faces_of(Cells.blocks([(12, corners)])))
-    write_case(tmp_path, moved, faces)
+    between = Between.of(cells.faces_of(Cells.blocks([(12, corners)])))
+    write_case(tmp_path, moved, between)
     place = {"WM_PROJECT_DIR": "/usr/share/openfoam"} | dict(os.environ)
     said = subprocess.run(
         ["checkMesh", "-case", str(tmp_path)], env=place, capture_output=True, text=True, check=False
@@ -139,6 +156,6 @@ def test_beside_check_mesh(tmp_path: Path) -> None:
     skewness = re.search(r"Max skewness = ([\d.]+)", said)
     assert angle, said
     assert skewness, said
-    _, found = qualities(points, moved, faces)
+    _, found = qualities(points, moved, between)
     assert found.non_orthogonality == pytest.approx(float(angle[1]), rel=1e-5)
     assert found.skewness == pytest.approx(float(skewness[1]), rel=1e-5)

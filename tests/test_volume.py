@@ -113,7 +113,11 @@ def test_the_design_surface_moves_by_rbf_and_the_inside_by_the_laplacian(
     beside = np.abs(np.abs(mesh.points[:, 0]) - 0.45) < 0.1
     rim |= design & beside
     assert "points at the rim of the design surface move by up to " in said.err
-    assert f"move by up to {moves[rim].max():.4g}, " in said.err
+    edges = edges_of_hexahedra(mesh)
+    edges = np.concatenate([edges, edges[:, ::-1]])
+    edges = edges[design[edges[:, 0]] & held[edges[:, 1]]]
+    share = moves[edges[:, 0]] / np.linalg.norm(mesh.points[edges[:, 0]] - mesh.points[edges[:, 1]], axis=1)
+    assert f"move by up to {moves[rim].max():.4g}, {share.max():.2g} times the edge" in said.err
     assert "scenario.hold" in said.err
 
 
@@ -272,12 +276,30 @@ def test_a_held_rim_is_quiet_and_a_design_that_leaves_the_plane_is_refused(
     assert not (tmp_path / "c.su2").exists()
     assert applied(run, tmp_path / "a.su2", tmp_path / "c.su2", *options, "--force") == 0
     assert f"warning: {(design & (mesh.points[:, 1] == 0)).sum()} {said}" in capsys.readouterr().err
+    assert applied(run, tmp_path / "a.su2", tmp_path / "d.su2", "--force") == 0
+    with meshes.opened(tmp_path / "c.su2") as one, meshes.opened(tmp_path / "d.su2") as other:
+        np.testing.assert_array_equal(one.points[design], other.points[design])
+
+
+def test_a_global_kernel_moves_nothing_far_away(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mesh = half_box()
+    far = dataclasses.replace(mesh, points=mesh.points * [1, 1, 3])
+    run = bump_run(tmp_path / "run", far.points[points_of(mesh, "bump")], kernel="triharmonic")
+    write_su2(tmp_path / "a.su2", far)
+    np.save(tmp_path / "rows.npy", rows_of(run, 1e-3))
+    for volume, warned in (("rbf", True), ("laplace", False)):
+        assert applied(run, tmp_path / "a.su2", tmp_path / f"{volume}.su2", "--volume", volume, "--force") == 0
+        assert ("the triharmonic kernel reaches everywhere" in capsys.readouterr().err) == warned
 
 
 def test_cells_turned_inside_out_are_refused_with_a_share(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     mesh = half_box()
     run = bump_run(tmp_path / "run", mesh.points[points_of(mesh, "bump")])
     write_su2(tmp_path / "a.su2", mesh)
+    np.save(tmp_path / "rows.npy", rows_of(run, 3.0))
+    np.save(tmp_path / "rows.npy", rows_of(run, 1.0))
+    assert applied(run, tmp_path / "a.su2", tmp_path / "a1.su2", "--volume", "laplace") == 0
+    assert "warning: the worst non-orthogonality exceeds 90 degrees: faces of cells are" in capsys.readouterr().err
     np.save(tmp_path / "rows.npy", rows_of(run, 3.0))
     assert applied(run, tmp_path / "a.su2", tmp_path / "b.su2", "--volume", "laplace") == 2
     refused = capsys.readouterr().err
