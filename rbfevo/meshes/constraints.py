@@ -208,16 +208,13 @@ def _of_template(mesh: Mesh, boundary: Array, vertices: Array, mirror: Plane | N
     distance, nearest = KDTree(boundary).query(wanted, distance_upper_bound=tolerance)
     there = np.isfinite(distance)
     if not there.all() or not len(there):
-        missing = (
-            f"{int((~there).sum())} of {len(there)} vertices of the run's template are"
-            if there.any()
-            else ("no vertex of the run's template is")
-        )
-        patches = f"--design PATCH (there are {shown(mesh.patches)})" if mesh.patches else "patches, which it lacks"
+        missing = f"{int((~there).sum())} of {len(there)}" if there.any() else "all"
+        hint = "take the template from this mesh"  # which names no patches
+        if mesh.patches:
+            hint = f"name the patches of the design surface (--design PATCH; there are {shown(mesh.patches)})"
         raise UserError(
-            f"{missing} among the points of its boundary, so which of these the design surface is stays open: is the "
-            f"mesh in the place and unit of the run? If its points are others than the template's, name its {patches}, "
-            "or use --volume rbf"
+            f"its boundary lacks {missing} vertices of the run's template, so which of its points are the design "
+            f"surface is not known: is it in the place and unit of the run? If so, {hint}, or use --volume rbf"
         )
     # Points that coincide move together.
     number = np.unique(boundary, axis=0, return_inverse=True)[1].reshape(-1)
