@@ -206,7 +206,7 @@ def _matched(table: Table, columns: Columns, template: Template, match: str) -> 
             ids = table.numbers([column])[:, 0]
         except FormatError:  # names, which coordinates do not need
             continue
-        found = matching.by_ids_and_coordinates(ids, names[column], places, axes, template)
+        found = matching.by_ids_and_coordinates(ids, names[column] or "column without a name", places, axes, template)
         if found is not None:
             return found
     return matching.by_coordinates(places, axes, columns.unit, template, match)
