@@ -4,25 +4,24 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from rbfevo import meshes
-from rbfevo.arrays import Array
-from rbfevo.commands import parsers, volume
+from rbfevo.commands import doubts, parsers, volume
 from rbfevo.commands.center_rows import read_rows
 from rbfevo.errors import UserError
-from rbfevo.geometry.triangles import doubled_area_vectors
+from rbfevo.meshes.constraints import solid_faces
+from rbfevo.meshes.faces import Between
 from rbfevo.meshes.quality import qualities
 from rbfevo.recorded.moves import places_of
 from rbfevo.recorded.picks import pick
-from rbfevo.recorded.record import Record, read
-from rbfevo.recorded.setup import Setup, setup
+from rbfevo.recorded.record import read
+from rbfevo.recorded.setup import setup
 
 FORMS = ("points", "pointDisplacement")  # of a case
-FAR = 0.01  # of the largest displacement of a center: what moves farther outside the box gets a warning
 DESCRIPTION = """Deform a mesh with the control points of one setup of a run.
 
 You give how far each control point moves (--displacements, in the unit of the mesh), as in the displacements.csv that
@@ -34,7 +33,8 @@ carried along by a Laplacian over the edges of its cells; the rest of the bounda
 planes: patches of type symmetryPlane, symmetry or empty, or else what lies in the run's own planes."""
 EPILOG = f"""Mesh formats: {", ".join(ending[1:] for ending in meshes.ENDINGS)}.
 --out ends as --mesh does, or in one of {", ".join(meshes.CONVERSIONS)}.
-Of an OpenFOAM case, --mesh is its directory and --out the directory of a time, such as CASE/1."""
+Of an OpenFOAM case, --mesh is its directory and --out the directory of a time, such as CASE/1.
+Of an SU2 mesh, --out FILE.dat writes surface positions: SU2_DEF reads them with DV_KIND= SURFACE_FILE."""
 
 
 def parser() -> parsers.Parser:
@@ -62,6 +62,12 @@ def parser() -> parsers.Parser:
         choices=FORMS,
         default=FORMS[0],
         help="of an OpenFOAM case: the points of time OUT (default), or OUT/pointDisplacement for its own mover",
+    )
+    made.add_argument(
+        "--patches",
+        type=lambda text: text.split(","),
+        metavar="NAMES",
+        help="of an SU2 mesh and --out FILE.dat: the markers to write, as in wing,tail (default: all)",
     )
     made.add_argument(
         "--volume",
@@ -117,10 +123,10 @@ def carry_out(options: argparse.Namespace) -> None:
         meshes.refuse_bad_points(options.mesh, mesh.points)
         weights = rows if what == "weights" else chosen.weights(rows)
         displacement = chosen.displacement(mesh.points[:, : record.vertices.shape[1]], weights)
-        carried = None
-        if options.volume == "laplace" and np.isfinite(displacement).all():
+        faces, carried = known_faces(mesh, options), None
+        if options.volume == "laplace" and faces is not None and np.isfinite(displacement).all():
             try:
-                carried = volume.carried(mesh, record, chosen, displacement, options.design, options.slip)
+                carried = volume.carried(mesh, faces, record, chosen, displacement, options.design, options.slip)
             except UserError as error:
                 raise UserError(f"{options.mesh}: {error}") from None
             displacement = carried.displacement
@@ -132,19 +138,28 @@ def carry_out(options: argparse.Namespace) -> None:
                 f"{options.mesh}: its points have no z coordinate, but the setup moves them along z; "
                 "write a VTU file instead: --out FILE.vtu"
             )
-        doubts = [line for line in (inverted(mesh, moved), carried.leaving if carried else "") if line]
-        if doubts and not options.force:
-            raise UserError(f"{options.mesh}: {'; and '.join(doubts)}, or add --force to write the mesh anyway")
-        notes = meshes.write(mesh, options.mesh, moved, displacement, out)
+        surface = meshes.only_surface(options.mesh, options.out)
+        turned = "" if surface else doubts.inverted(mesh, moved)  # SU2_DEF moves the inside in its own way
+        found = [line for line in (turned, carried.leaving if carried else "") if line]
+        if found and not options.force:
+            raise UserError(f"{options.mesh}: {'; and '.join(found)}, or add --force to write the mesh anyway")
+        notes = meshes.write(mesh, options.mesh, moved, displacement, out, options.patches)
         centers = chosen.moved(rows) if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
         largest = float(np.linalg.norm(centers, axis=1).max(initial=0.0))
-        doubts = [*warnings(record, chosen, mesh, moved, None if carried else length, largest), *doubts]
-        for warning in [*doubts, *([carried.jump] if carried and carried.jump else [])]:
+        quality = None if faces is None else qualities(mesh.points, moved, faces)
+        found = [*doubts.warnings(record, chosen, mesh, moved, None if carried else length, largest), *found]
+        if quality and quality[0].non_orthogonality <= 90.0 < quality[1].non_orthogonality:
+            found.append("the worst non-orthogonality exceeds 90 degrees: faces of cells are turned over")
+        for warning in [*found, *([carried.jump] if carried and carried.jump else [])]:
             print(f"warning: {warning}", file=sys.stderr, flush=True)
-        if not options.quiet:
-            notes += [carried.line] if carried else []
-            notes += quality_lines(mesh, moved)
+        notes += [carried.line] if carried else []
+        if quality:
+            before, after = quality
+            notes.append(
+                f"worst non-orthogonality {before.non_orthogonality:.1f} degrees before, {after.non_orthogonality:.1f} "
+                f"after; worst skewness {before.skewness:.3g} before, {after.skewness:.3g} after"
+            )
     if not options.quiet:
         for note in notes:
             print(f"note: {note}")
@@ -161,7 +176,7 @@ def target(options: argparse.Namespace) -> Path:
     if options.volume != "laplace" and (options.design or options.slip):
         raise UserError(f"--{'design' if options.design else 'slip'} is for --volume laplace")
     meshes.refuse_ending(options.mesh, options.out)
-    if options.mesh.is_dir():
+    if meshes.is_case(options.mesh):
         time: Path = options.out
         if not time.parent.is_dir():
             raise UserError(f"--out {time}: the directory {time.parent} does not exist; create it first")
@@ -182,6 +197,8 @@ def target(options: argparse.Namespace) -> Path:
 
 def refuse_out(options: argparse.Namespace) -> None:
     """Raise UserError if the result cannot be written to the file --out."""
+    if options.patches is not None and not meshes.only_surface(options.mesh, options.out):
+        raise UserError("--patches: only surface positions of SU2 (--mesh FILE.su2 --out FILE.dat) are written in part")
     if options.out.exists() and not options.overwrite:
         raise UserError(f"--out {options.out} already exists: choose another file, or add --overwrite")
     if options.out.is_dir():
@@ -190,91 +207,22 @@ def refuse_out(options: argparse.Namespace) -> None:
         raise UserError(f"--out {options.out}: the directory {options.out.parent} does not exist; create it first")
 
 
-def warnings(
-    record: Record, chosen: Setup, mesh: meshes.Mesh, moved: Array, length: Array | None, largest: float
-) -> Iterator[str]:
-    """What may be wrong with a deformation, a line each.
+def known_faces(mesh: meshes.Mesh, options: argparse.Namespace) -> Between | None:
+    """The faces of a mesh's solid cells; None if there are none, or some of a kind whose faces are not known.
 
-    Args:
-        length: [q] of the displacements where all points follow the kernel; largest: of a displacement of a center.
+    Raises:
+        UserError: with --volume laplace, which needs them.
     """
-    places = mesh.points[:, : record.vertices.shape[1]]
-    lowest, highest = places.min(axis=0), places.max(axis=0)
-    apart = bool((lowest > record.upper).any() or (highest < record.lower).any())
-    if chosen.support is not None:
-        from scipy.spatial import KDTree
-
-        nearest = KDTree(chosen.centers_and_images().points).query(places)[0].min()
-        if nearest >= chosen.support:
-            yield (
-                f"no point of the mesh lies within the support radius {chosen.support:g} of a center (the nearest is "
-                f"{nearest:.4g} away), so nothing moves; {_boxes(record, lowest, highest)}"
-            )
-            return
-    if apart:
-        yield f"the mesh lies outside the box of the run; {_boxes(record, lowest, highest)}"
-    if chosen.support is None and length is not None:
-        margin = 1e-9 * float(np.linalg.norm(record.upper - record.lower))
-        outside = ((places < record.lower - margin) | (places > record.upper + margin)).any(axis=1)
-        far = outside & (length > FAR * largest)
-        if far.any():
-            yield (
-                f"the {chosen.name} kernel reaches everywhere: {int(far.sum())} points outside the box of the run "
-                f"move by more than {100 * FAR:g} % of the largest displacement of a center, at most by "
-                f"{length[far].max():.4g}"
-            )
-    triangles = meshes.cells.surface(mesh.points, mesh.cells).triangles
-    turned = int((_dots(mesh.points, moved, triangles) < 0).sum())
-    if turned:
-        yield f"{turned} of {len(triangles)} triangles turn by more than 90 degrees: the surface may fold over"
-
-
-def inverted(mesh: meshes.Mesh, moved: Array) -> str:
-    """How many cells of a volume mesh a move turns inside out, and how far it may go; empty if there are none."""
-    found = meshes.cells.volumes(mesh.points, moved, mesh.cells)
-    turned, share = [], 1.0
-    for volumes in found:
-        bad = (volumes.before != 0) & (volumes.before * volumes.after <= 0)
-        if bad.any():
-            worst = float((volumes.after[bad] / volumes.before[bad]).min()) + 0.0  # no -0
-            share = min(share, volumes.share)
-            turned.append(f"{int(bad.sum())} of {len(bad)} {volumes.name} (the worst to {worst:.3g} times its volume)")
-    if not turned:
-        return ""
-    return (
-        f"the displacements turn {', '.join(turned)} inside out or flat, and no solver can use such a mesh; "
-        f"multiply the displacements by less than {share:.3g}"
-    )
-
-
-def quality_lines(mesh: meshes.Mesh, moved: Array) -> list[str]:
-    """The worst non-orthogonality and skewness of a volume mesh before and after a move; no line for other meshes."""
+    if options.volume == "laplace":
+        try:
+            return solid_faces(mesh.cells)
+        except UserError as error:
+            raise UserError(f"{options.mesh}: {error}") from None
     try:
-        found = qualities(mesh.points, moved, mesh.cells)
-    except meshes.FormatError:  # solids whose faces are not known
-        return []
-    if found is None:
-        return []
-    before, after = found
-    return [
-        f"worst non-orthogonality {before.non_orthogonality:.1f} degrees before, {after.non_orthogonality:.1f} after; "
-        f"worst skewness {before.skewness:.3g} before, {after.skewness:.3g} after"
-    ]
-
-
-def _boxes(record: Record, lowest: Array, highest: Array) -> str:
-    def sides(lower: Array, upper: Array) -> str:
-        return ", ".join(f"{axis} {a:.4g} .. {b:.4g}" for axis, a, b in zip("xyz", lower, upper, strict=False))
-
-    return (
-        "is the mesh in another place or unit than the run? "
-        f"Mesh: {sides(lowest, highest)}; box of the run: {sides(record.lower, record.upper)}"
-    )
-
-
-def _dots(before: Array, after: Array, triangles: Array) -> Array:
-    """Products [f] of the doubled area vectors of triangles before and after."""
-    return (doubled_area_vectors(before, triangles) * doubled_area_vectors(after, triangles)).sum(axis=1)
+        faces = meshes.cells.faces_of(mesh.cells)
+    except meshes.FormatError:
+        return None
+    return Between.of(faces) if len(faces.sizes) else None
 
 
 if __name__ == "__main__":

@@ -107,6 +107,18 @@ def existing_home(path: str | Path) -> Path:
     return Path(os.path.expanduser(path))  # noqa: PTH111 - `Path.expanduser` raises where there is none
 
 
+def file_and_name(source: str) -> tuple[str, str]:
+    """A file and the name of one of its arrays or columns, of `FILE:NAME`; without a name, or such a file, as it is."""
+    text, colon, name = source.rpartition(":")
+    if not colon or not text or not name:
+        return source, ""
+    try:
+        whole, part = existing_home(source).exists(), existing_home(text).is_file()
+    except (OSError, ValueError):
+        return source, ""
+    return (text, name) if part and not whole else (source, "")
+
+
 def _written(key: str, value: str, roots: Collection[str]) -> str:
     """A value of a path as Hydra reads it."""
     bare = _QUOTED.fullmatch(value) is None

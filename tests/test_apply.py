@@ -20,6 +20,7 @@ from test_exchange import CUBE, tetrahedra
 from test_export import CASES, a_run, spatial
 
 from rbfevo import apply, export, meshes
+from rbfevo.commands import doubts
 from rbfevo.meshes.mesh import Cells, Faces
 from rbfevo.recorded.record import Record, read
 
@@ -331,14 +332,14 @@ def solid(kind: int) -> meshes.Mesh:
 @pytest.mark.parametrize("kind", NAMES)
 def test_solids_of_every_kind_that_turn_inside_out_are_counted(kind: int) -> None:
     mesh = solid(kind)
-    assert apply.inverted(mesh, BOX * [2.0, 3.0, 0.01]) == ""
-    assert apply.inverted(mesh, BOX * [1.0, 1.0, -0.5]) == (
+    assert doubts.inverted(mesh, BOX * [2.0, 3.0, 0.01]) == ""
+    assert doubts.inverted(mesh, BOX * [1.0, 1.0, -0.5]) == (
         f"the displacements turn 1 of 1 {NAMES[kind]} (the worst to -0.5 times its volume) inside out or flat, and no "
         "solver can use such a mesh; multiply the displacements by less than 0.667"
     )
-    assert f"1 of 1 {NAMES[kind]} (the worst to 0 times" in apply.inverted(mesh, BOX * [1.0, 1.0, 0.0])
+    assert f"1 of 1 {NAMES[kind]} (the worst to 0 times" in doubts.inverted(mesh, BOX * [1.0, 1.0, 0.0])
     turned = BOX[:, [1, 0, 2]] * [-1.0, 1.0, 1.0]
-    assert apply.inverted(mesh, turned) == ""  # a quarter turn about z
+    assert doubts.inverted(mesh, turned) == ""  # a quarter turn about z
     ((_, before, after, share),) = meshes.cells.volumes(BOX, BOX * 2.0, mesh.cells)
     expected = {10: 1 / 6, 13: 1 / 2, 14: 1 / 3}.get(kind, 1.0)
     assert abs(before[0]) == pytest.approx(expected)

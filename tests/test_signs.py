@@ -180,8 +180,8 @@ def test_what_belongs_to_other_settings_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "s.npy", X)
     with pytest.raises(UserError, match=r"^scenario\.sensitivity_normal=outward: .* three components[^\n]*$"):
         mesh(**settings, sensitivity_normal="outward")
-    with pytest.raises(UserError, match="sensitivity_normal=inward: choose one of outward, as_wound"):
-        mesh(**settings, sensitivity_normal="inward")
+    with pytest.raises(UserError, match="sensitivity_normal=upward: choose one of outward, inward, as_wound"):
+        mesh(**settings, sensitivity_normal="upward")
     target: dict[str, Any] = {"template": settings["template"], "target": settings["template"]}
     others: list[dict[str, Any]] = [
         {"sensitivity_normal": "outward"},

@@ -11,7 +11,7 @@ from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.geometry import topology
 from rbfevo.geometry.triangles import triangle_areas
-from rbfevo.meshes import cells, ending_of, opened
+from rbfevo.meshes import cells, ending_of, is_case, opened
 from rbfevo.meshes.mesh import Mesh
 from rbfevo.meshes.surface import Surface
 from rbfevo.scenarios.reading import surface
@@ -42,7 +42,7 @@ def reported(path: Path, patches: list[str] | None = None) -> dict[str, Any]:
         notes["not finite"] = f"{int((~finite).sum())} of {len(finite)} points have coordinates that are not finite"
     found: dict[str, Any] = {
         "file": str(path),
-        "format": "OpenFOAM case" if path.is_dir() else ending_of(path)[1:].upper(),
+        "format": "OpenFOAM case" if is_case(path) else ending_of(path)[1:].upper(),
         "points": len(mesh.points),
         "vertices": len(np.unique(part.triangles)),
         "triangles": len(part.triangles),

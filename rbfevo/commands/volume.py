@@ -10,6 +10,7 @@ import numpy as np
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.meshes.constraints import Constraints, Plane, constraints, slip_patches
+from rbfevo.meshes.faces import Between
 from rbfevo.meshes.mesh import Mesh
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import Setup
@@ -32,9 +33,18 @@ class Carried(NamedTuple):
 
 
 def carried(
-    mesh: Mesh, record: Record, chosen: Setup, displacement: Array, design: Sequence[str], slip: Sequence[str]
+    mesh: Mesh,
+    faces: Between,
+    record: Record,
+    chosen: Setup,
+    displacement: Array,
+    design: Sequence[str] = (),
+    slip: Sequence[str] = (),
 ) -> Carried:
     """Keep the displacements [n, 3] of a setup at the design surface, and carry them into the volume of a mesh.
+
+    Args:
+        faces: of the mesh's solid cells; design, slip: names of patches, as for `constraints`.
 
     Raises:
         UserError: if the run or the mesh is not for it, patches are not there, or the solver does not converge.
@@ -46,7 +56,7 @@ def carried(
     mirror = None if chosen.mirror is None else Plane(chosen.mirror.axis, chosen.mirror.at)
     planar = chosen.planar
     sides = [] if planar is None else [Plane(planar.axis, planar.at + s * planar.depth) for s in (-1.0, 1.0)]
-    found = constraints(mesh, record.vertices, mirror, sides, design, slip)
+    found = constraints(mesh, faces, record.vertices, mirror, sides, design, slip)
     given = displacement.copy()
     given[found.held] = 0.0
     given[found.slip & ~found.design[:, None]] = 0.0

@@ -12,7 +12,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from rbfevo.errors import UserError
-from rbfevo.names import MAYBE_FILES, existing_home, literal
+from rbfevo.names import MAYBE_FILES, existing_home, file_and_name, literal
 from rbfevo.recorded.record import Record
 from rbfevo.runs.config import build, check
 from rbfevo.scenarios.scenario import Scenario
@@ -42,9 +42,10 @@ def rebuild(run: Path, record: Record) -> Source:
     config = _load(run / ".hydra" / "config.yaml")
     for name in MAYBE_FILES:
         path = OmegaConf.select(config, f"scenario.{name}")
-        if isinstance(path, str) and not existing_home(path).exists() and (run / ".hydra" / "hydra.yaml").exists():
+        here = existing_home(file_and_name(path)[0]).exists() if isinstance(path, str) else True
+        if not here and (run / ".hydra" / "hydra.yaml").exists():
             before = _began_in(run)
-            if before is not None and (before / path).exists():
+            if before is not None and (before / file_and_name(str(before / path))[0]).exists():
                 config.scenario[name] = literal(str(before / path))
     try:
         settings = check(config)

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
-from rbfevo.files import refuse_missing
+from rbfevo.files import refuse_missing, write_whole
 from rbfevo.meshes import cells, foreign, vtk_datasets
 from rbfevo.meshes.abaqus import read_abaqus
 from rbfevo.meshes.clouds import read_cloud
@@ -31,10 +31,21 @@ from rbfevo.meshes.off import read_off
 from rbfevo.meshes.openfoam import POINT_DISPLACEMENT, case_of, is_time, read_case
 from rbfevo.meshes.ply import read_ply
 from rbfevo.meshes.stl import read_stl
-from rbfevo.meshes.su2 import read_su2
+from rbfevo.meshes.su2 import read_su2, surface_positions
 from rbfevo.names import existing_home
 
-__all__ = ["CONVERSIONS", "ENDINGS", "FormatError", "Mesh", "cells", "opened", "refuse_ending", "write"]
+__all__ = [
+    "CONVERSIONS",
+    "ENDINGS",
+    "FormatError",
+    "Mesh",
+    "cells",
+    "is_case",
+    "only_surface",
+    "opened",
+    "refuse_ending",
+    "write",
+]
 
 OWN: dict[str, Callable[[bytes], Mesh]] = {
     ".obj": read_obj,
@@ -69,7 +80,7 @@ def opened(path: str | Path) -> Iterator[Mesh]:
             cannot be.
     """
     path = existing_home(path)
-    if path.is_dir() or (not path.exists() and case_of(path) is not None):
+    if is_case(path):
         yield _case(path)
         return
     refuse_missing(path)
@@ -99,6 +110,11 @@ def opened(path: str | Path) -> Iterator[Mesh]:
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise UserError(f"{path}: damaged: not a readable {ending[1:].upper()} file ({reason})") from None
         yield mesh
+
+
+def is_case(path: Path) -> bool:
+    """Whether a path is a directory, as a case is, or stands for time 0 of a case without a directory of it."""
+    return path.is_dir() or (not path.exists() and case_of(path) is not None)
 
 
 def _case(path: Path) -> Mesh:
@@ -166,23 +182,42 @@ def refuse_huge(path: Path | str, points: Array) -> None:
 
 def refuse_ending(mesh: Path, out: Path) -> None:
     """Raise UserError if a mesh of the ending of `mesh` cannot be written with that of `out`."""
-    if mesh.is_dir():
+    if is_case(mesh):
         if not is_time(out.parent if out.name == POINT_DISPLACEMENT else out):
             raise UserError(f"--out {out}: for a case give a directory with a time as its name, such as {mesh}/1")
         return
     given, wanted = ending_of(mesh), ending_of(out)
-    if wanted != given and wanted not in CONVERSIONS:
-        raise UserError(f"--out {out}: choose the ending of the mesh, {given}, or one of {', '.join(CONVERSIONS)}")
+    if wanted != given and wanted not in CONVERSIONS and not only_surface(mesh, out):
+        positions = ", or .dat for surface positions" if given == ".su2" else ""
+        raise UserError(
+            f"--out {out}: choose the ending of the mesh, {given}, or one of {', '.join(CONVERSIONS)}{positions}"
+        )
 
 
-def write(mesh: Mesh, source: Path, moved: Array, displacement: Array, out: Path) -> list[str]:
+def only_surface(mesh: Path, out: Path) -> bool:
+    """Whether `out` is to hold the positions of an SU2 mesh's surface, and not its volume."""
+    return (ending_of(mesh), ending_of(out)) == (".su2", ".dat")
+
+
+def write(
+    mesh: Mesh, source: Path, moved: Array, displacement: Array, out: Path, patches: Sequence[str] | None = None
+) -> list[str]:
     """Write a mesh with moved points [n, 3], whole, in the format of the ending of `out`; return notes.
+
+    Of a mesh of SU2 and an `out` that ends in .dat, write surface positions, of all markers or of `patches`.
 
     Raises:
         UserError: if it cannot be written.
     """
     given, wanted = ending_of(source), ending_of(out)
-    if source.is_dir() or wanted == given or _own(source, given) is None:
+    if only_surface(source, out):
+        try:
+            content, notes = surface_positions(mesh, moved, patches)
+        except UserError as error:
+            raise UserError(f"{source}: {error}") from None
+        write_whole(out, content)
+        return notes
+    if is_case(source) or wanted == given or _own(source, given) is None:
         try:
             return [*([] if wanted != given else mesh.kept), *mesh.write(moved, displacement, out)]
         except FormatError as error:

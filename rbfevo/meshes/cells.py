@@ -13,6 +13,7 @@ import numpy as np
 
 from rbfevo.arrays import Array, Ints
 from rbfevo.meshes import polygons
+from rbfevo.meshes.faces import alike, corners_of, within
 from rbfevo.meshes.mesh import Cells, Faces, FormatError
 
 TRIANGLES, QUADS = (5, 22, 34, 69, 76), (9, 23, 28, 30, 70, 77)
@@ -126,7 +127,7 @@ def surface(points: Array, cells: Cells, chosen: Ints | None = None) -> Surface:
     for members, count in ((TRIANGLES, 3), ((*QUADS, PIXEL), 4)):
         sizes[np.isin(kinds, members)] = count
     strips = kinds == STRIP
-    place = np.repeat(starts[~strips], sizes[~strips]) + _within(sizes[~strips])
+    place = np.repeat(starts[~strips], sizes[~strips]) + within(sizes[~strips])
     corners = cells.corners[place]
     ends = np.cumsum(sizes[~strips])
     pixels = (ends - 4)[kinds[~strips] == PIXEL]  # their corners run 0 1 3 2 about them
@@ -147,14 +148,9 @@ def surface(points: Array, cells: Cells, chosen: Ints | None = None) -> Surface:
 def _strips(starts: Ints, sizes: Ints, corners: Ints) -> tuple[Ints, Ints]:
     """Strips as triangles turned the way of the first, and the strip of each."""
     each = np.maximum(sizes - 2, 0)
-    strip, within = np.repeat(np.arange(len(each)), each), _within(each)
-    first, odd = starts[strip] + within, within % 2
+    strip, step = np.repeat(np.arange(len(each)), each), within(each)
+    first, odd = starts[strip] + step, step % 2
     return np.stack([corners[first], corners[first + 1 + odd], corners[first + 2 - odd]], axis=1), strip
-
-
-def _within(sizes: Ints) -> Ints:
-    """0, 1 ... for each of several groups, one after another."""
-    return np.arange(int(sizes.sum())) - np.repeat(np.cumsum(sizes) - sizes, sizes)
 
 
 def faces_of(cells: Cells) -> Faces:
@@ -180,14 +176,6 @@ def faces_of(cells: Cells) -> Faces:
     return Faces(np.concatenate(cell), np.concatenate(sizes), np.concatenate(corners))
 
 
-def alike(faces: Faces) -> Ints:
-    """A number [f] of each face, the same where faces have the same corners, in whatever order: 0, 1 ..."""
-    # Faces of two cells have the same corners, in another order.
-    padded = np.full((len(faces.sizes), int(faces.sizes.max(initial=0))), -1)
-    padded[np.repeat(np.arange(len(padded)), faces.sizes), _within(faces.sizes)] = faces.corners
-    return np.unique(np.sort(padded, axis=1), axis=0, return_inverse=True)[1].reshape(-1)
-
-
 def boundary(cells: Cells) -> Cells:
     """The faces of solid cells that belong to one of them only, as polygons with their normals outwards.
 
@@ -195,11 +183,13 @@ def boundary(cells: Cells) -> Cells:
         FormatError: if there are solids whose faces are not known here.
     """
     faces = faces_of(cells)
-    number = alike(faces)
-    outer = np.flatnonzero(np.bincount(number)[number] == 1)
-    starts, sizes = (np.cumsum(faces.sizes) - faces.sizes)[outer], faces.sizes[outer]
-    place = np.repeat(starts, sizes) + _within(sizes)
-    return Cells(np.full(len(outer), POLYGON, np.uint8), sizes, faces.corners[place])
+    number = alike(faces.sizes, faces.corners)
+    return polygons_of(faces.sizes, faces.corners, np.flatnonzero(np.bincount(number)[number] == 1))
+
+
+def polygons_of(sizes: Ints, corners: Ints, chosen: Ints) -> Cells:
+    """Some of several faces, with the corners of each one after another, as polygons."""
+    return Cells(np.full(len(chosen), POLYGON, np.uint8), sizes[chosen], corners_of(sizes, corners, chosen))
 
 
 def _solid_corners(cells: Cells, name: str) -> Ints:
@@ -259,7 +249,7 @@ def _pyramids(points: Array, faces: Faces) -> Array:
     apex = means(cell[face], place)[cell]
     middle = means(face, place) - apex
     starts = np.cumsum(faces.sizes) - faces.sizes
-    behind = starts[face] + (_within(faces.sizes) + 1) % np.repeat(faces.sizes, faces.sizes)
+    behind = starts[face] + (within(faces.sizes) + 1) % np.repeat(faces.sizes, faces.sizes)
     own, other = place - apex[face], place[behind] - apex[face]
     parts = np.einsum("ij,ij->i", middle[face], np.cross(own, other)) / 6.0
     return np.bincount(face, parts, minlength=len(faces.sizes))

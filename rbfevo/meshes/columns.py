@@ -16,6 +16,7 @@ _ID = re.compile(
     r"(?:(?:global|point|node|vertex|vtk ?original ?point)s?[ _-]?)?(?:ids?|index|indices|numbers?|labels?|no\.?|nr\.?)"
     r"|nodes?|vertex|vertices|#|unnamed: 0|"
 )
+_MAYBE_ID = re.compile(r"points?")  # SU2's name of its ids; others have values of a point in it
 _CELL_ID = re.compile(r"(?:cell|element|face)s?[ _-]?(?:ids?|index|indices|numbers?|labels?|no\.?|nr\.?)")
 _ASIDE = re.compile(r"(?:normals?|area|face ?normal)[:_ .-]?[xyz012]?|n[xyz]|(?:.*[:_ ])?(?:magnitude|area)")
 
@@ -37,6 +38,7 @@ class Columns:
         ids: columns with numbers of vertices; cell_ids: with numbers of cells.
         values: the other quantities, in the order of their first columns; aside: areas, normals and magnitudes, which
             are taken for values only where they are asked for by name.
+        doubtful: columns whose name may be that of ids, or of values: what is in them tells (`quantities.settled`).
     """
 
     coordinates: dict[int, int]
@@ -45,6 +47,7 @@ class Columns:
     cell_ids: tuple[int, ...]
     values: tuple[Group, ...]
     aside: tuple[Group, ...]
+    doubtful: tuple[int, ...] = ()
 
 
 def recognized(header: Sequence[str]) -> Columns:
@@ -56,7 +59,7 @@ def recognized(header: Sequence[str]) -> Columns:
         units.append(found["unit"] if found and not index else "")
         names.append((name[: found.start()] if found and not index else name).strip().lower())
     coordinates: dict[int, int] = {}
-    ids, cell_ids, others = [], [], []
+    ids, cell_ids, doubtful, others = [], [], [], []
     for column, name in enumerate(names):
         axis = _axis(name)
         if axis is not None and axis not in coordinates:
@@ -65,6 +68,8 @@ def recognized(header: Sequence[str]) -> Columns:
             ids.append(column)
         elif _CELL_ID.fullmatch(name):
             cell_ids.append(column)
+        elif _MAYBE_ID.fullmatch(name):
+            doubtful.append(column)
         else:
             others.append(column)
     groups = _groups(names, others, {0, 1} if set(coordinates) == {0, 1} else {0, 1, 2})
@@ -75,6 +80,7 @@ def recognized(header: Sequence[str]) -> Columns:
         tuple(cell_ids),
         tuple(group for group in groups if not _ASIDE.fullmatch(group.name)),
         tuple(group for group in groups if _ASIDE.fullmatch(group.name)),
+        tuple(doubtful),
     )
 
 

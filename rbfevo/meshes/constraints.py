@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from rbfevo.arrays import Array, Ints
 from rbfevo.errors import UserError
 from rbfevo.meshes import cells
-from rbfevo.meshes.mesh import Cells, Faces, Mesh
+from rbfevo.meshes.faces import Between, alike, corners_of, edges_of
+from rbfevo.meshes.mesh import Cells, Mesh
 from rbfevo.meshes.surface import patch_cells, shown
 
 SLIP_TYPES = ("symmetryPlane", "symmetry", "empty", "wedge")  # OpenFOAM's
@@ -55,8 +56,32 @@ class Constraints(NamedTuple):
         return self.slip | (self.design | self.held | self.loose)[:, None]
 
 
+def solid_faces(mesh_cells: Cells) -> Between:
+    """The faces of the solid cells of a mesh.
+
+    Raises:
+        UserError: if there are none, or cells of unknown kinds or of second order.
+    """
+    found, counted = cells.solids(mesh_cells), cells.counts(mesh_cells)
+    if not found:
+        listed = ", ".join(f"{count} {name}" for name, count in counted.items()) or "only points"
+        raise UserError(f"--volume laplace needs cells that fill a volume, but there are {listed}; use --volume rbf")
+    bad = {name: found[name] for name in ("prisms",) if name in found}
+    bad |= {name: count for name, count in counted.items() if name == "cells of an unknown kind"}
+    faceless = found.get("polyhedra", 0) - (0 if mesh_cells.faces is None else len(np.unique(mesh_cells.faces.cell)))
+    bad |= {"polyhedra without faces": faceless} if faceless else {}
+    solid = np.isin(mesh_cells.kinds, [kind for kinds in cells.SOLIDS.values() for kind in kinds])
+    curved = cells.curved(Cells(mesh_cells.kinds[solid], mesh_cells.sizes[solid], mesh_cells.corners))
+    bad |= {"second-order cells": curved} if curved else {}
+    if bad:
+        listed = ", ".join(f"{count} {name}" for name, count in bad.items())
+        raise UserError(f"--volume laplace does not know the edges of {listed}; use --volume rbf")
+    return Between.of(cells.faces_of(mesh_cells))
+
+
 def constraints(
     mesh: Mesh,
+    faces: Between,
     vertices: Array,
     mirror: Plane | None = None,
     sides: Sequence[Plane] = (),
@@ -66,20 +91,20 @@ def constraints(
     """The constraints on a volume mesh that a run deforms.
 
     Args:
+        faces: of its cells, by `solid_faces`.
         vertices: [v, 3] of the run's template; mirror: its symmetry plane; sides: the two of the slab of a planar run.
         design: patches of the design surface; without, it is the boundary points that are vertices of the template.
         slip: patches that slide besides those whose type says so; where the mesh has no types, boundary faces in the
             run's planes slide too.
 
     Raises:
-        UserError: if the mesh fills no volume, if a patch or the design surface is not there, or if a patch that slides
-            does not lie in planes across x, y or z.
+        UserError: if a patch or the design surface is not there, or if a patch that slides does not lie in planes
+            across x, y or z.
     """
     both = sorted(set(design) & set(slip))
     if both:
         raise UserError(f"--design and --slip both name {', '.join(both)}: a patch either moves or slides")
-    faces = _faces(mesh.cells)
-    n, outer = len(mesh.points), cells.boundary(mesh.cells)
+    n, outer = len(mesh.points), cells.polygons_of(faces.sizes, faces.corners, faces.outer)
     tolerance = CLOSE * float(np.linalg.norm(np.ptp(vertices, axis=0))) + SINGLE * float(np.abs(mesh.points).max())
     places = _places(mesh.cells, outer)
     if design:
@@ -101,43 +126,14 @@ def constraints(
         sliding[:, across] = _among(n, _corners(outer, np.flatnonzero(axis == across)))
     sliding[held] = False
     loose = ~_among(n, faces.corners) & ~moving
-    return Constraints(moving, sliding, held, loose, edges_of(faces), edges_of(Faces(axis, outer.sizes, outer.corners)))
+    edges, rim = edges_of(faces.sizes, faces.corners), edges_of(outer.sizes, outer.corners)
+    return Constraints(moving, sliding, held, loose, edges, rim)
 
 
 def slip_patches(mesh: Mesh, named: Sequence[str] = ()) -> list[str]:
     """The patches that slide: those with faces whose type says so, and those that were named."""
     typed = [name for name, kind in mesh.patch_types.items() if kind in SLIP_TYPES and len(mesh.patches.get(name, ()))]
     return [*typed, *(name for name in dict.fromkeys(named) if name not in typed)]
-
-
-def edges_of(faces: Faces) -> Ints:
-    """The edges [e, 2] of faces, each once, the lower point first; those from a point to itself are left out."""
-    starts = np.cumsum(faces.sizes) - faces.sizes
-    face = np.repeat(np.arange(len(starts)), faces.sizes)
-    behind = starts[face] + (np.arange(len(face)) - starts[face] + 1) % faces.sizes[face]
-    low, high = np.minimum(faces.corners, faces.corners[behind]), np.maximum(faces.corners, faces.corners[behind])
-    count = int(high.max(initial=0)) + 1
-    number = np.unique((low * count + high)[low != high])
-    return np.stack([number // count, number % count], axis=1)
-
-
-def _faces(mesh_cells: Cells) -> Faces:
-    """The faces of the solid cells, all of which must be of known kinds and of first order."""
-    found, counted = cells.solids(mesh_cells), cells.counts(mesh_cells)
-    if not found:
-        listed = ", ".join(f"{count} {name}" for name, count in counted.items()) or "only points"
-        raise UserError(f"--volume laplace needs cells that fill a volume, but there are {listed}; use --volume rbf")
-    bad = {name: found[name] for name in ("prisms",) if name in found}
-    bad |= {name: count for name, count in counted.items() if name == "cells of an unknown kind"}
-    faceless = found.get("polyhedra", 0) - (0 if mesh_cells.faces is None else len(np.unique(mesh_cells.faces.cell)))
-    bad |= {"polyhedra without faces": faceless} if faceless else {}
-    solid = np.isin(mesh_cells.kinds, [kind for kinds in cells.SOLIDS.values() for kind in kinds])
-    curved = cells.curved(Cells(mesh_cells.kinds[solid], mesh_cells.sizes[solid], mesh_cells.corners))
-    bad |= {"second-order cells": curved} if curved else {}
-    if bad:
-        listed = ", ".join(f"{count} {name}" for name, count in bad.items())
-        raise UserError(f"--volume laplace does not know the edges of {listed}; use --volume rbf")
-    return cells.faces_of(mesh_cells)
 
 
 def _among(count: int, *indices: Ints) -> Mask:
@@ -153,8 +149,8 @@ def _starts(polygons: Cells) -> Ints:
 
 
 def _corners(polygons: Cells, chosen: Ints) -> Ints:
-    """The corners of some polygons, each once."""
-    return np.unique(polygons.corners[np.isin(np.repeat(np.arange(len(polygons)), polygons.sizes), chosen)])
+    """The corners of some polygons."""
+    return corners_of(polygons.sizes, polygons.corners, chosen)
 
 
 def _places(mesh_cells: Cells, outer: Cells) -> Ints:
@@ -162,7 +158,7 @@ def _places(mesh_cells: Cells, outer: Cells) -> Ints:
     flat = np.isin(mesh_cells.kinds, cells.FLAT)
     of = np.repeat(flat, mesh_cells.sizes)
     sizes = np.concatenate([outer.sizes, mesh_cells.sizes[flat]])
-    number = cells.alike(Faces(sizes, sizes, np.concatenate([outer.corners, mesh_cells.corners[of]])))
+    number = alike(sizes, np.concatenate([outer.corners, mesh_cells.corners[of]]))
     face = np.full(int(number.max(initial=0)) + 1, -1)
     face[number[: len(outer)]] = np.arange(len(outer))
     places = np.full(len(mesh_cells), -1)
@@ -212,16 +208,13 @@ def _of_template(mesh: Mesh, boundary: Array, vertices: Array, mirror: Plane | N
     distance, nearest = KDTree(boundary).query(wanted, distance_upper_bound=tolerance)
     there = np.isfinite(distance)
     if not there.all() or not len(there):
-        missing = (
-            f"{int((~there).sum())} of {len(there)} vertices of the run's template are"
-            if there.any()
-            else ("no vertex of the run's template is")
-        )
-        patches = f"--design PATCH (there are {shown(mesh.patches)})" if mesh.patches else "patches, which it lacks"
+        missing = f"{int((~there).sum())} of {len(there)}" if there.any() else "all"
+        hint = "take the template from this mesh"  # which names no patches
+        if mesh.patches:
+            hint = f"name the patches of the design surface (--design PATCH; there are {shown(mesh.patches)})"
         raise UserError(
-            f"{missing} among the points of its boundary, so which of these the design surface is stays open: is the "
-            f"mesh in the place and unit of the run? If its points are others than the template's, name its {patches}, "
-            "or use --volume rbf"
+            f"its boundary lacks {missing} vertices of the run's template, so which of its points are the design "
+            f"surface is not known: is it in the place and unit of the run? If so, {hint}, or use --volume rbf"
         )
     # Points that coincide move together.
     number = np.unique(boundary, axis=0, return_inverse=True)[1].reshape(-1)

@@ -23,8 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rbfevo.arrays import Array, Ints
-from rbfevo.meshes import cells
-from rbfevo.meshes.mesh import Cells, Faces
+from rbfevo.meshes.faces import Between
 
 TINY = 1e-150
 
@@ -36,61 +35,14 @@ class Quality(NamedTuple):
     skewness: float
 
 
-class FacesOfCells(NamedTuple):
-    """The faces of solid cells, each once, and their cells.
-
-    Attributes:
-        sizes: [f], corners: the corners of all faces, one face after another.
-        owner, neighbour: [f] the two cells of each (0, 1 ... c - 1), -1 where there is no second one.
-    """
-
-    sizes: Ints
-    corners: Ints
-    owner: Ints
-    neighbour: Ints
-
-    @staticmethod
-    def of(mesh_cells: Cells) -> FacesOfCells:
-        """The faces of all solid cells; a face of three cells counts for two of them.
-
-        Raises:
-            FormatError: if there are solids whose faces are not known here.
-        """
-        faces = cells.faces_of(mesh_cells)
-        cell = np.unique(faces.cell, return_inverse=True)[1].reshape(-1)
-        number = cells.alike(faces)
-        order = np.argsort(number, kind="stable")
-        uses = np.bincount(number)
-        starts = np.cumsum(uses) - uses
-        first = order[starts]
-        second = order[starts + np.minimum(uses - 1, 1)]
-        kept = corners_of(faces, first)
-        return FacesOfCells(faces.sizes[first], kept, cell[first], np.where(uses > 1, cell[second], -1))
-
-
-def corners_of(faces: Faces, chosen: Ints) -> Ints:
-    """The corners of some faces, one after another."""
-    sizes = faces.sizes[chosen]
-    starts = (np.cumsum(faces.sizes) - faces.sizes)[chosen]
-    return faces.corners[np.repeat(starts - (np.cumsum(sizes) - sizes), sizes) + np.arange(int(sizes.sum()))]
-
-
-def qualities(points: Array, moved: Array, mesh_cells: Cells) -> tuple[Quality, Quality] | None:
+def qualities(points: Array, moved: Array, faces: Between) -> tuple[Quality, Quality]:
     """The worst non-orthogonality and skewness of a volume mesh at points [n, 3] and at moved points [n, 3].
 
     Which side of a face is which cell's is decided at `points`, so faces that a move turns over exceed 90 degrees.
-
-    Returns:
-        None if the cells fill no volume.
-
-    Raises:
-        FormatError: if there are solids whose faces are not known here.
     """
-    faces = FacesOfCells.of(mesh_cells)
-    if not len(faces.sizes):
-        return None
-    shift = points[faces.corners].mean(axis=0)
-    extent = float(np.abs(points[faces.corners] - shift).max()) or 1.0
+    used = points[faces.corners]
+    shift = used.mean(axis=0)
+    extent = float(np.abs(used - shift).max()) or 1.0
     before, after = ((places - shift) / extent for places in (points, moved))  # no unit counts, and nothing cancels
     sides = _sides(before, faces)
     return _quality(before, faces, *sides), _quality(after, faces, *sides)
@@ -101,34 +53,40 @@ def _sums(of: Ints, values: Array, count: int) -> Array:
     return np.stack([np.bincount(of, column, minlength=count) for column in values.T], axis=1)
 
 
-def _areas(points: Array, faces: FacesOfCells) -> tuple[Array, Array]:
+def _areas(points: Array, faces: Between) -> tuple[Array, Array]:
     """Area vectors [f, 3] and centres [f, 3] of faces."""
-    count, sizes = len(faces.sizes), faces.sizes
-    face, starts = np.repeat(np.arange(count), sizes), np.cumsum(sizes) - sizes
-    behind = starts[face] + (np.arange(len(face)) - starts[face] + 1) % sizes[face]
-    place = points[faces.corners]
-    middle = _sums(face, place, count) / sizes[:, None]
-    own, after = place - middle[face], place[behind] - middle[face]
-    vectors = 0.5 * np.cross(own, after)
-    sizes_of = np.linalg.norm(vectors, axis=1)
-    total = np.bincount(face, sizes_of, minlength=count)
-    away = _sums(face, sizes_of[:, None] * (own + after) / 3.0, count) / np.maximum(total, TINY)[:, None]
-    return _sums(face, vectors, count), middle + away
+    vectors, centres = np.empty((2, len(faces.sizes), 3))
+    starts = np.cumsum(faces.sizes) - faces.sizes
+    for size in np.unique(faces.sizes):
+        chosen = np.flatnonzero(faces.sizes == size)
+        place = points[faces.corners[starts[chosen, None] + np.arange(size)]]
+        middle = place.mean(axis=1)
+        place -= middle[:, None]
+        total, away, weight = np.zeros((len(chosen), 3)), np.zeros((len(chosen), 3)), np.zeros(len(chosen))
+        for corner in range(size):
+            own, after = place[:, corner], place[:, (corner + 1) % size]
+            vector = 0.5 * np.cross(own, after)
+            area = np.linalg.norm(vector, axis=1)
+            total += vector
+            away += area[:, None] * (own + after) / 3.0
+            weight += area
+        vectors[chosen], centres[chosen] = total, middle + away / np.maximum(weight, TINY)[:, None]
+    return vectors, centres
 
 
-def _estimates(centres: Array, faces: FacesOfCells) -> Array:
+def _estimates(centres: Array, faces: Between) -> Array:
     """The means [c, 3] of the centres of each cell's faces."""
     cell, face = _uses(faces)
     return _sums(cell, centres[face], int(cell.max()) + 1) / np.bincount(cell)[:, None]
 
 
-def _uses(faces: FacesOfCells) -> tuple[Ints, Ints]:
+def _uses(faces: Between) -> tuple[Ints, Ints]:
     """Which cell has which face: owners first, then neighbours."""
     inner = np.flatnonzero(faces.neighbour >= 0)
     return np.concatenate([faces.owner, faces.neighbour[inner]]), np.concatenate([np.arange(len(faces.owner)), inner])
 
 
-def _sides(points: Array, faces: FacesOfCells) -> tuple[Array, Array]:
+def _sides(points: Array, faces: Between) -> tuple[Array, Array]:
     """[f] 1 or -1: whether the normal of a face points out of its owner, and [f] the same of its neighbour."""
     vectors, centres = _areas(points, faces)
     estimates = _estimates(centres, faces)
@@ -139,7 +97,7 @@ def _sides(points: Array, faces: FacesOfCells) -> tuple[Array, Array]:
     return out[0], out[1]
 
 
-def _quality(points: Array, faces: FacesOfCells, out: Array, out_of_neighbour: Array) -> Quality:
+def _quality(points: Array, faces: Between, out: Array, out_of_neighbour: Array) -> Quality:
     vectors, centres = _areas(points, faces)
     estimates = _estimates(centres, faces)
     cell, face = _uses(faces)

@@ -1,13 +1,21 @@
-"""SU2's native mesh format: coordinates are put in place, so that markers, FFD boxes and all else stay."""
+"""SU2's native mesh format: coordinates are put in place, so that markers, FFD boxes and all else stay.
+
+Surface positions are what SU2_DEF reads with DV_KIND= SURFACE_FILE: a line for each point, its number from 0 and its
+new coordinates.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 
 import numpy as np
 
+from rbfevo.arrays import Array
+from rbfevo.errors import UserError
 from rbfevo.meshes.mesh import Cells, FormatError, Mesh, written_as
 from rbfevo.meshes.places import Places, integers, lines
+from rbfevo.meshes.surface import patch_points
 
 _KEYWORD = re.compile(rb"\s*(\w+)\s*=\s*(.*?)\s*$", re.DOTALL)
 _CORNERS = {3: 2, 5: 3, 9: 4, 10: 4, 12: 8, 13: 6, 14: 5}  # VTK's numbers: lines, triangles ... pyramids
@@ -20,7 +28,7 @@ def read_su2(content: bytes) -> Mesh:
     Raises:
         FormatError: if it is damaged, has several zones, or elements of another type.
     """
-    places, dimension = Places(content), 0
+    places, dimension, boxes = Places(content), 0, []
     kinds: list[int] = []
     corners: list[list[int]] = []
     patches: dict[str, list[int]] = {}
@@ -67,12 +75,14 @@ def read_su2(content: bytes) -> Mesh:
             elif name == "NZONE" and _number(name, value) != 1:
                 raise FormatError("it has several zones; write a file for each")
             elif name == "FFD_TAG":
-                notes["FFD boxes"] = "the file has FFD boxes, which stay as they are"
+                boxes.append(value.decode("utf-8", "replace"))
         elif section in ("NPOIN", "NELEM", "MARKER_ELEMS"):
             raise FormatError(f"{section} announces fewer lines than there are")
     if points or elements:
         raise FormatError("cut off: points or elements are missing")
     patches.pop(_SEND, None)
+    if boxes:
+        notes["FFD boxes"] = f"the file has FFD boxes ({', '.join(boxes)}), which stay as they are"
     return Mesh(
         places.points(),
         written_as(places.rewritten),
@@ -80,6 +90,43 @@ def read_su2(content: bytes) -> Mesh:
         patches={name: np.array(cells, np.int64) for name, cells in patches.items()},
         dimension=dimension,
         notes=notes,
+        kept=[_stale(boxes)] if boxes else [],
+    )
+
+
+def surface_positions(mesh: Mesh, moved: Array, markers: Sequence[str] | None) -> tuple[bytes, list[str]]:
+    """The surface positions of moved points [n, 3], as SU2_DEF reads them, and notes.
+
+    SU2_DEF moves points of DV_MARKER that are not listed to the origin, and passes over points of other markers: so by
+    default those of all markers are listed.
+
+    Args:
+        mesh: of a .su2 file; markers: names of some of its markers, None for all.
+
+    Raises:
+        UserError: if there is no such marker, or none at all.
+    """
+    named = list(mesh.patches) if markers is None else list(markers)
+    if not named:
+        raise UserError("the mesh has no markers, so there are no surface positions to write")
+    rows = patch_points(mesh, named, "--patches")
+    places = moved[rows, : mesh.dimension]
+    listed = [
+        f"{row}\t" + "\t".join(map(repr, place)) + "\n"
+        for row, place in zip(rows.tolist(), places.tolist(), strict=True)
+    ]
+    what = f"DV_KIND= SURFACE_FILE, DV_MARKER= ( {', '.join(named)} )"
+    part = f"{what}: or some of these markers" if markers is None else f"{what}: these markers and no others"
+    return "".join(listed).encode(), [
+        f"{len(rows)} of {len(mesh.points)} points, for SU2_DEF with {part}, since it moves points that are not listed "
+        "to the origin"
+    ]
+
+
+def _stale(boxes: Sequence[str]) -> str:
+    return (
+        f"the FFD boxes {', '.join(boxes)} are kept as they were, and the parameters of their surface points do not "
+        "fit the deformed surface: run SU2_DEF with DV_KIND= FFD_SETTING before you use them"
     )
 
 

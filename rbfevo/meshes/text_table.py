@@ -75,9 +75,10 @@ def read_table(content: bytes) -> TextTable:
 
     Comments begin with #, //, % or !; the last one before the rows is their header if it has as many names (COMSOL). A
     first line `sep=;` names the separator (Excel); `[Data]` begins the rows (CFD-Post); a first line with one whole
-    number is their count, and names may follow, one on each line (Fluent). Numbers may have decimal commas where these
-    separate nothing, and D in the place of E (Fortran). A last row that begins with text (`Total`) is left out, with
-    a note.
+    number is their count, and names may follow, one on each line (Fluent), or it is the number of observables, one,
+    whose name and the count of rows follow (Fluent's export of sensitivities). Numbers may have decimal commas where
+    these separate nothing, and D in the place of E (Fortran). A last row that begins with text (`Total`) is left out,
+    with a note.
 
     Raises:
         FormatError: if there are no rows, or not all have as many fields as the first.
@@ -117,6 +118,16 @@ def read_table(content: bytes) -> TextTable:
         names = next((i for i, (_, line) in enumerate(rows[1:]) if line.strip().isdigit()), None)
         if names and int(rows[1 + names][1]) == count and not any(_split(line)[0] for _, line in rows[1 : 1 + names]):
             header, rows = [_name(line) for _, line in rows[1 : 1 + names]], rows[2 + names :]
+        elif names is not None and names == count and not any(_split(line)[0] for _, line in rows[1 : 1 + names]):
+            observables = ", ".join(_name(line) for _, line in rows[1 : 1 + names])
+            if count > 1:
+                raise FormatError(
+                    f"it holds several observables ({observables}); export the sensitivities of one alone"
+                )
+            if int(rows[2][1]) != len(rows) - 3:
+                raise FormatError(f"it announces {int(rows[2][1])} rows, but has {len(rows) - 3}")
+            notes.append(f"observable {observables}")
+            rows = rows[3:]
         elif len(rows) - 1 in (count, count + 1) and len(rows[-1][1].replace(b",", b" ").split()) > 1:
             rows = rows[1:]  # of rows with one number each, it could be the first
     if not rows:

@@ -60,12 +60,8 @@ def by_ids(ids: Array, name: str, template: Template) -> Match:
     twice = len(ids) - len(np.unique(ids))
     if twice:
         raise UserError(f"its column '{name}' holds {twice} ids more than once")
-    if template.numbers is not None:
-        own = {"the file's numbers of its points": template.numbers[template.rows]}
-    else:
-        own = {f"from {first}": template.rows + first for first in (0, 1)}
     found = {}
-    for title, numbers in own.items():
+    for title, numbers in _numberings(template).items():
         rows, there = places_of(numbers, ids)
         if there.all():
             found[title] = rows
@@ -86,6 +82,34 @@ def by_ids(ids: Array, name: str, template: Template) -> Match:
     )
 
 
+def _numberings(template: Template) -> dict[str, Ints]:
+    """What the numbers [n] of the vertices may be, by a title: the file's own, or else from 0 or from 1."""
+    if template.numbers is not None:
+        return {"the file's numbers of its points": template.numbers[template.rows]}
+    return {f"from {first}": template.rows + first for first in (0, 1)}
+
+
+def by_ids_and_coordinates(
+    ids: Array, name: str, places: Array, axes: tuple[int, ...], template: Template
+) -> Match | None:
+    """Rows by numbers of the mesh's points where coordinates confirm them; None where they are other numbers.
+
+    Args:
+        ids: [r]; name: of their column; places: [r, k] coordinates; axes: which they are, of 0, 1, 2.
+    """
+    if not (ids == np.round(ids)).all() or len(np.unique(ids)) != len(ids):
+        return None
+    vertices = template.vertices[:, list(axes)]
+    best, note = None, ""
+    off = AGREE * float(np.ptp(template.vertices, axis=0).max())
+    for title, numbers in _numberings(template).items():
+        rows, there = places_of(numbers, ids)
+        apart = float(np.abs(places[rows] - vertices).max()) if there.all() else np.inf
+        if apart <= off:  # points may be closer to each other than the tolerance: the better numbering counts
+            best, off, note = rows, apart, f"rows by '{name}', {title}, coordinates agree to {apart:.2g}"
+    return None if best is None else Match(best, None, note)
+
+
 def by_coordinates(places: Array, axes: tuple[int, ...], unit: str, template: Template, match: str) -> Match:
     """Rows by coordinates: exactly (in any order, with extra rows), or the nearest ones of another mesh.
 
@@ -101,9 +125,13 @@ def by_coordinates(places: Array, axes: tuple[int, ...], unit: str, template: Te
     bad = int((~np.isfinite(places)).any(axis=1).sum())
     if bad:
         raise UserError(f"{bad} of its {len(places)} rows have coordinates that are not finite")
-    vertices = template.vertices[:, list(axes)]
     extent = float(np.ptp(template.vertices, axis=0).max())
     allowed = AGREE * extent
+    across = [axis for axis in range(3) if axis not in axes]
+    if len(axes) == 2 and not np.ptp(template.vertices[:, across]):  # a curve in a plane needs no third coordinate
+        places = np.insert(places, across[0], template.vertices[0, across[0]], axis=1)
+        axes = (0, 1, 2)
+    vertices = template.vertices[:, list(axes)]
     for rows in (template.rows, np.arange(len(vertices))):
         if len(places) == (template.count if rows is template.rows else len(vertices)):
             off = np.abs(places[rows] - vertices).max()

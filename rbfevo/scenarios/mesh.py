@@ -55,12 +55,12 @@ def mesh(
         template: a surface mesh as `read_template` takes it.
         patches: names of the template's patches (markers, physical groups, element sets) to take; None for all.
         target: a mesh or cloud as `read_surface` takes it: vertices should move to their closest points on it.
-        sensitivity: the name of a point or cell array of the template, or a CSV, NPY or NPZ file: one value a vertex,
-            taken along its normal, or three. None: of a solver's case, its own.
+        sensitivity: the name of a point or cell array of the template, or a CSV, NPY, NPZ or VTK file: one value a
+            vertex, taken along its normal, or three. None: of a solver's case, its own.
         sensitivity_kind: `nodal` (integrated over a vertex's share of the surface) or `density` (per area); None is
             nodal, but doubts are refused.
-        sensitivity_normal: `outward` or `as_wound` (by the file): the normal that one value per vertex refers to; None
-            where both are the same.
+        sensitivity_normal: `outward`, `inward` or `as_wound` (by the file): the normal that one value per vertex refers
+            to; None is outward, but doubts are refused.
         sensitivity_match: `exact`: a table's rows are those of the template's points, in any order; `nearest` or
             `interpolate`: of another mesh of the same surface, values per area then.
         objective: `minimize`: the design wants to move against the sensitivity; `maximize`: along it.

@@ -99,6 +99,8 @@ def descent(
         raise UserError(f"scenario.sensitivity={source}: it is zero at every vertex, so nothing should move")
     normals = sides.outward
     if values.ndim == 1:
+        if choices.normal is None:
+            signs.refuse_either_sign(given.names, source)
         normals = signs.normals(sides, choices.normal, values, template.vertices, source, choices.objective)
     elif choices.normal is not None:
         raise UserError(
@@ -109,6 +111,8 @@ def descent(
     if choices.kind is None and not known:
         kinds.ask(given.names, scaled, areas, template.triangles, source)
     notes = {"sensitivity": _convention(source, values, kind, choices), "sensitivity rows": given.note}
+    if given.beside is not None and values.ndim == 2:
+        notes["scalar sensitivity"] = signs.told_by(near_one(given.beside)[0], scaled, sides.outward)
     return Descent(
         wanted(scaled, normals, areas, weights, kind, choices.objective),
         exponent,
@@ -149,7 +153,12 @@ def wanted(values: Array, normals: Array, areas: Array, weights: Array, kind: st
 
 
 def _convention(source: str, values: Array, kind: str, choices: Choices) -> str:
-    along = {None: "its normal", "outward": "its outward normal", "as_wound": "its normal as wound in the file"}
+    along = {
+        None: "its normal",
+        "outward": "its outward normal",
+        "inward": "its inward normal",
+        "as_wound": "its normal as wound in the file",
+    }
     form = f"one value per vertex, along {along[choices.normal]}" if values.ndim == 1 else "three components per vertex"
     integrated = {"nodal": "nodal (integrated)", "density": "density (per area)"}[kind]
     way = "against" if choices.objective == "minimize" else "along"

@@ -1,14 +1,15 @@
 """The normals that a sensitivity of one value per vertex refers to, and the way in which it moves a design.
 
 Solvers differ: a value may refer to the normal out of the body, to that out of the fluid (into the body), or to the
-normals as the file winds its triangles. Where the winding of the file agrees with the outward normals there is one
-reading. Elsewhere `scenario.sensitivity_normal` decides, and without it the run asks.
+normals as the file winds its triangles. Where the winding of the file agrees with the outward normals, these are taken.
+Elsewhere `scenario.sensitivity_normal` decides, and without it the run asks; as it does where programs of one name
+write either sign.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +20,11 @@ from rbfevo.arrays import Ints, Points, Triangles
 from rbfevo.errors import UserError
 from rbfevo.geometry import curves, topology
 from rbfevo.geometry.planar import Plane
+from rbfevo.scenarios.quantities import SCALAR
 
-NORMALS = ("outward", "as_wound")
+NORMALS = ("outward", "inward", "as_wound")
 SAME = 1e-6  # by which two unit normals may differ, for rounding
+AGREE = 0.9  # correlation from which a scalar is taken for the component of a vector along the normal
 ACROSS = 0.2  # |cosine| to the normal, below which a move is along the surface
 
 Array = NDArray[np.float64]
@@ -119,9 +122,11 @@ def normals(found: Sides, choice: str | None, values: Array, vertices: Points, s
         if found.clashes:
             raise UserError(
                 f"scenario.sensitivity_normal=as_wound: at {found.clashes} edges the file winds the two triangles "
-                "against each other, so its normals jump from side to side; set outward, or mend the file"
+                "against each other, so its normals jump from side to side; set outward or inward, or mend the file"
             )
         return found.wound
+    if choice == "inward":
+        return -found.outward
     differ = found.differ & (values != 0.0)
     if choice is None and differ.any():
         opposite = differ & ((found.outward * found.wound).sum(axis=1) < 0.0)
@@ -142,6 +147,41 @@ def normals(found: Sides, choice: str | None, values: Array, vertices: Points, s
             "the fluid: into a body, or outwards from a duct"
         )
     return found.outward
+
+
+def refuse_either_sign(names: Iterable[str], source: str) -> None:
+    """Raise UserError for a scalar of SU2 without its vector: its programs write it with different signs.
+
+    Args:
+        names: of the array or the columns; source: the sensitivity's name, for the message.
+    """
+    if any(name.strip().lower() == SCALAR for name in names):
+        raise UserError(
+            f"scenario.sensitivity={source}: the sign of SU2's Surface_Sensitivity depends on the program, and its "
+            "vector (Sensitivity_x, Sensitivity_y, ...) is not there. SU2_CFD_AD writes the component along the normal "
+            "out of the fluid (of a body: scenario.sensitivity_normal=inward; of a duct: outward), SU2_DOT along the "
+            "one into the fluid (of a body: scenario.sensitivity_normal=outward; of a duct: inward); set it, or give "
+            "the vector"
+        )
+
+
+def told_by(scalar: Array, vectors: Points, outward: Points) -> str:
+    """One line on SU2's scalar [n] beside vectors [n, 3]: along which normal it is their component."""
+    along = (vectors * outward).sum(axis=1)
+    length = float(np.linalg.norm(scalar) * np.linalg.norm(along))
+    agreement = float(scalar @ along) / length if length > 0.0 else 0.0
+    if abs(agreement) >= AGREE:
+        side, body, duct = (
+            ("outward", "SU2_DOT", "SU2_CFD_AD") if agreement > 0.0 else ("inward", "SU2_CFD_AD", "SU2_DOT")
+        )
+        return (
+            f"Surface_Sensitivity beside the vector is its component along the {side} normal (correlation "
+            f"{abs(agreement):.3f}), as {body} writes it of a body and {duct} of a duct; the vector is taken"
+        )
+    return (
+        "Surface_Sensitivity beside the vector is not its component along the normals (correlation "
+        f"{agreement:.2f}); the vector is taken: are both of one objective, and is this the surface they belong to?"
+    )
 
 
 def way(wanted: Array, vertices: Points, found: Sides, objective: str) -> str:

@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import difflib
-import re
 import warnings
-import zipfile
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
-from rbfevo.meshes.columns import Columns, Group, recognized
+from rbfevo.meshes.array_table import Table
+from rbfevo.meshes.columns import Columns, recognized
 from rbfevo.meshes.mesh import FormatError
-from rbfevo.meshes.text_table import TextTable, read_table
-from rbfevo.names import existing_home
-from rbfevo.scenarios import matching
+from rbfevo.meshes.text_table import read_table
+from rbfevo.names import existing_home, file_and_name
+from rbfevo.scenarios import matching, quantities, vertex_tables
 from rbfevo.scenarios.matching import Match
 from rbfevo.scenarios.templates import Template
 
@@ -29,13 +27,15 @@ ENDINGS = (".csv", ".txt", ".npy", ".npz")
 class VertexArray(NamedTuple):
     """Values [n] or [n, 3] of the vertices, how they were found, whether they are another mesh's, and their names.
 
-    The names are that of the array, or of a file, without its ending, and the columns.
+    The names are that of the array, or of a file, without its ending, and the columns. `beside` [n] is the component
+    along a normal that SU2 writes beside a vector, or None.
     """
 
     values: Array
     note: str
     other_mesh: bool = False
     names: tuple[str, ...] = ()
+    beside: Array | None = None
 
 
 def vertex_array(source: str, template: Template, what: str, match: str = "exact", kind: str = "nodal") -> VertexArray:
@@ -43,9 +43,11 @@ def vertex_array(source: str, template: Template, what: str, match: str = "exact
 
     Args:
         source: the name of one of the template's point or cell arrays, or a file: CSV or TXT as `read_table` takes it,
-            NPY, or NPZ (a single array, or the one named `what`). The rows of a table are matched to vertices by the
-            coordinates in it, else by ids, else by their order; those of an array by their order: one for each of the
-            file's points (`template.count`, of which `template.rows` are picked), for each vertex, or for each cell.
+            NPY, NPZ (a single array, or the one named `what`; coordinates beside it are named `points`), or a file
+            that VTK reads; `FILE:NAME` picks one of its quantities. The rows of a table are matched to vertices by ids
+            whose coordinates agree, else by coordinates, else by ids alone, else by their order; those of an array by
+            their order: one for each of the file's points (`template.count`, of which `template.rows` are picked), for
+            each vertex, or for each cell.
         template: the surface; what: the key below `scenario`, for messages.
         match: `exact`; `nearest` or `interpolate` take the values of another mesh, by the coordinates in the table.
         kind: the kind of the values of cells, as `matching.from_cells` takes it.
@@ -56,29 +58,38 @@ def vertex_array(source: str, template: Template, what: str, match: str = "exact
     """
     try:
         if source in template.arrays:
-            return VertexArray(_fitting(template.arrays[source], template), f"point array {source}", names=(source,))
+            values = _fitting(template.arrays[source], template)
+            scalar = next((name for name in template.arrays if name.lower() == quantities.SCALAR), source)
+            beside = (
+                template.arrays[scalar] if scalar != source and values.ndim == 2 and "sens" in source.lower() else None
+            )
+            return VertexArray(values, f"point array {source}", names=(source,), beside=beside)
         if source in template.cell_arrays:
             found = _of_cells(template.cell_arrays[source], template, kind, f"cell array {source}")
             return found._replace(names=(source,))
-        path = _file(source, template)
-        found = _read(path, template, what, match, kind)
+        path, named = _file(source, template)
+        found = _read(path, template, what, match, kind, named)
         return found._replace(names=(path.stem, *found.names))
     except UserError as error:
         raise UserError(f"scenario.{what}={source}: {error}") from None
 
 
-def _file(source: str, template: Template) -> Path:
-    path = existing_home(source)
+def _file(source: str, template: Template) -> tuple[Path, str]:
+    """The file that is meant, and the name of one of its quantities, if one is given."""
+    text, named = file_and_name(source)
+    path = existing_home(text)
     ending = path.suffix.lower()
     try:
         there = path.is_file()
     except (OSError, ValueError):
         there = False
-    if there and ending in ENDINGS:
-        return path
+    if there and ending in (*ENDINGS, *vertex_tables.MESHES):
+        return path, named
     if there:
-        raise UserError(f"unknown ending '{ending}'; give a file that ends in one of {_listed(ENDINGS)}")
-    if ending in ENDINGS or "/" in source or "\\" in source:
+        raise UserError(
+            f"unknown ending '{ending}'; give a file that ends in one of {_listed((*ENDINGS, *vertex_tables.MESHES))}"
+        )
+    if ending in (*ENDINGS, *vertex_tables.MESHES) or "/" in source or "\\" in source:
         raise UserError("no such file" if not path.is_dir() else "it is a directory; give a file")
     names = sorted(template.arrays)
     close = difflib.get_close_matches(source, [*names, *template.cell_arrays], n=1)
@@ -102,17 +113,24 @@ def _of_cells(values: Array, template: Template, kind: str, title: str) -> Verte
     return VertexArray(_fitting(carried, template), f"{title}, {how}, carried to the vertices")
 
 
-def _read(path: Path, template: Template, what: str, match: str, kind: str) -> VertexArray:
+def _read(path: Path, template: Template, what: str, match: str, kind: str, named: str) -> VertexArray:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # NumPy's, about headers of other versions
+            if path.suffix.lower() in vertex_tables.MESHES:
+                return _of_table(vertex_tables.of_mesh(path), template, what, match, kind, named)
             if path.suffix.lower() in (".npy", ".npz"):
-                return _by_order(_numbers(_load(path, what)), template, kind)
+                loaded, places = vertex_tables.load(path, what, named)
+                values = vertex_tables.numbers(loaded)
+                if places is None:
+                    return _by_order(vertex_tables.flattened(values, template), template, kind)
+                table = vertex_tables.beside_points(values, vertex_tables.numbers(places), what, template, kind)
+                return _of_table(table, template, what, match, kind, named and what)
             content = path.read_bytes()
             if not content.strip():
                 raise UserError("the file is empty")
             table = read_table(content)
-        return _of_table(table, template, what, match, kind)
+        return _of_table(table, template, what, match, kind, named)
     except UserError:
         raise
     except FormatError as error:
@@ -121,29 +139,6 @@ def _read(path: Path, template: Template, what: str, match: str, kind: str) -> V
         lines = str(error).strip().splitlines()
         reason = lines[0].strip()[:160] if lines else type(error).__name__
         raise UserError(f"not a readable {path.suffix[1:].upper()} file ({reason})") from None
-
-
-def _load(path: Path, what: str) -> NDArray:
-    if path.suffix.lower() == ".npy":
-        with path.open("rb") as file:
-            return np.lib.format.read_array(file, allow_pickle=False)
-    with zipfile.ZipFile(path) as archive:
-        names = {entry.removesuffix(".npy"): entry for entry in archive.namelist() if entry.endswith(".npy")}
-        name = what if what in names else next(iter(names), None)
-        if name is None:
-            raise UserError("it holds no array")
-        if len(names) > 1 and name != what:
-            raise UserError(
-                f"it holds {len(names)} arrays, but none named '{what}': {_listed(names)}; rename the one to use"
-            )
-        with archive.open(names[name]) as file:
-            return np.lib.format.read_array(file, allow_pickle=False)
-
-
-def _numbers(values: NDArray) -> Array:
-    if values.dtype.kind not in "fiub":
-        raise UserError(f"its values are not real numbers (dtype {values.dtype})")
-    return values.astype(np.float64)
 
 
 def _by_order(values: Array, template: Template, kind: str) -> VertexArray:
@@ -156,23 +151,22 @@ def _by_order(values: Array, template: Template, kind: str) -> VertexArray:
     return VertexArray(_fitting(values[found.rows], template), found.note)
 
 
-def _of_table(table: TextTable, template: Template, what: str, match: str, kind: str) -> VertexArray:
+def _of_table(table: Table, template: Template, what: str, match: str, kind: str, named: str) -> VertexArray:
     """The values of a table, each at its vertex."""
+    beside: tuple[int, ...] = ()
+    remarks = list(table.notes)
     if table.header is None:
         columns, values = _without_header(table, template)
     else:
-        columns = recognized(table.header)
-        values = _chosen(table, columns, what).columns
+        columns = quantities.settled(recognized(table.header), table, template)
+        group = quantities.chosen(table, columns, what, named)
+        values, beside = group.columns, quantities.beside(columns, group)
+        remarks += quantities.remarks(table, columns, group)
     if not columns.coordinates and not columns.ids:
         found = _by_order(table.numbers(values), template, kind)
-        note = "; ".join([_titled(table, values) + found.note, *table.notes])
+        note = "; ".join([_titled(table, values) + found.note, *remarks])
         return found._replace(note=note, names=_columns(table, values))
-    if columns.coordinates:
-        axes = tuple(sorted(columns.coordinates))
-        places = table.numbers([columns.coordinates[axis] for axis in axes])
-        found = matching.by_coordinates(places, axes, columns.unit, template, match)
-    else:
-        found = _by_ids(table, columns, template)
+    found = _matched(table, columns, template, match)
     numbers = table.numbers(values)
     if numbers.shape[1] == 2:
         numbers = np.pad(numbers, ((0, 0), (0, 1)))
@@ -181,31 +175,44 @@ def _of_table(table: TextTable, template: Template, what: str, match: str, kind:
     if bad and found.places is not None:
         raise UserError(f"{bad} of its {len(numbers)} rows have values that are not finite (NaN or infinite)")
     carried = _fitting(matching.interpolated(numbers, found, template), template)
-    note = "; ".join([_titled(table, values) + found.note, *table.notes])
-    return VertexArray(carried, note, other, _columns(table, values))
+    note = "; ".join([_titled(table, values) + found.note, *remarks])
+    scalar = table.numbers(beside)[found.rows, 0] if beside and not other else None
+    return VertexArray(carried, note, other, _columns(table, values), scalar)
 
 
-def _columns(table: TextTable, values: tuple[int, ...]) -> tuple[str, ...]:
+def _columns(table: Table, values: tuple[int, ...]) -> tuple[str, ...]:
     return () if table.header is None else tuple(table.header[column] for column in values)
 
 
-def _titled(table: TextTable, values: tuple[int, ...]) -> str:
+def _titled(table: Table, values: tuple[int, ...]) -> str:
     return "" if table.header is None else f"{', '.join(_columns(table, values))}: "
 
 
-def _by_ids(table: TextTable, columns: Columns, template: Template) -> Match:
-    """Rows by the first column of ids that holds the mesh's numbers."""
-    problems = []
+def _matched(table: Table, columns: Columns, template: Template, match: str) -> Match:
+    """Which row belongs to which vertex: by ids that coordinates confirm, else by coordinates, else by ids."""
+    names = table.header or ["the first column", *[""] * table.width]
+    if not columns.coordinates:
+        problems = []
+        for column in columns.ids:
+            try:
+                return matching.by_ids(table.numbers([column])[:, 0], names[column] or "the first column", template)
+            except UserError as error:
+                problems.append(error)
+        raise problems[0]
+    axes = tuple(sorted(columns.coordinates))
+    places = table.numbers([columns.coordinates[axis] for axis in axes])
     for column in columns.ids:
-        name = (table.header or {}).__getitem__(column) if table.header else f"column {column}"
         try:
-            return matching.by_ids(table.numbers([column])[:, 0], name or "the first column", template)
-        except UserError as error:
-            problems.append(error)
-    raise problems[0]
+            ids = table.numbers([column])[:, 0]
+        except FormatError:  # names, which coordinates do not need
+            continue
+        found = matching.by_ids_and_coordinates(ids, names[column] or "column without a name", places, axes, template)
+        if found is not None:
+            return found
+    return matching.by_coordinates(places, axes, columns.unit, template, match)
 
 
-def _without_header(table: TextTable, template: Template) -> tuple[Columns, tuple[int, ...]]:
+def _without_header(table: Table, template: Template) -> tuple[Columns, tuple[int, ...]]:
     """Coordinates, ids and values of a table without a header, if there is only one way to read it."""
     nothing = Columns({}, "", (), (), (), ())
     if table.width == 1:
@@ -229,43 +236,6 @@ def _without_header(table: TextTable, template: Template) -> tuple[Columns, tupl
     raise UserError(
         f"it has {table.width} columns without names; add a first line that names them, such as x,y,z,value or id,value"
     )
-
-
-def _chosen(table: TextTable, columns: Columns, what: str) -> Group:
-    """The quantity of a table to use: that named `what`, or the only one."""
-    names = table.header or []
-    groups = [*columns.values, *columns.aside]
-    if not groups:
-        named = ", ".join(names)
-        raise UserError(
-            f"it holds only ids and coordinates ({named}) and no values; name the columns of a vector {what}_x, "
-            f"{what}_y, {what}_z"
-        )
-    own = [group for group in groups if re.fullmatch(rf"{re.escape(what)}(?:[:_ .-]?[0-2xyz])?", group.name)]
-    near = [group for group in columns.values if "sens" in group.name] if what == "sensitivity" else []
-    candidates = own or near or list(columns.values) or groups
-    related = [*candidates, *(group for group in near if group not in candidates)]
-    if len(related) > 1:
-        zero = [group for group in related if not table.numbers(group.columns).any()]
-        if zero and len(zero) < len(related):
-            full = [group for group in related if group not in zero]
-            raise UserError(
-                f"{_headings(zero, names)} is zero in every row, {_headings(full, names)} is not: which one should be "
-                "used? Remove the other one"
-            )
-    vectors = [group for group in candidates if len(group.columns) > 1]
-    candidates = vectors if (own or near) and len(vectors) == 1 else candidates
-    if len(candidates) != 1:
-        raise UserError(
-            f"it has {len(candidates)} columns or vectors of values "
-            f"({'; '.join(_headings([g], names) for g in candidates)}); "
-            f"name the one to use {what} (or {what}_x, {what}_y, {what}_z), or remove the others"
-        )
-    return candidates[0]
-
-
-def _headings(groups: list[Group], names: list[str]) -> str:
-    return ", ".join(names[column] for group in groups for column in group.columns)
 
 
 def _shaped(values: Array) -> None:

@@ -14,7 +14,9 @@ from rbfevo.meshes.openfoam.lists import File
 
 WIDTHS = {"pointScalarField": 1, "volScalarField": 1, "pointVectorField": 3, "volVectorField": 3}
 _LIST = re.compile(rb"nonuniform\s+List<(\w+)>\s*")
-_UNIFORM = re.compile(rb"uniform\s+(\([^)]*\)|[^\s;]+)\s*;")
+_UNIFORM = re.compile(rb"uniform\s+(\([^)]*\)|[^\s;]+)")
+_KEY = re.compile(rb'"[^"]*"|[^\s{}();"]+')
+_COMPONENTS = {b"vector": 3, b"symmTensor": 6, b"tensor": 9}
 
 
 def point_field(path: Path, count: int) -> Array:
@@ -43,17 +45,69 @@ def patch_fields(path: Path, sizes: dict[str, int]) -> dict[str, Array]:
     """
     file = lists.read(path)
     width = _width(file)
-    at = _after(file, file.start, b"boundaryField")
-    found = {}
-    for name, size in sizes.items():
-        block = re.compile(rb'(?:\A|[\s{};])"?' + re.escape(name.encode()) + rb'"?\s*\{').search(file.content, at)
-        if block is None:
-            continue
-        place = re.compile(rb"\bvalue\s+|\}").search(file.content, block.end())
-        if place is None or place[0] == b"}":
-            continue
-        found[name], at = _values(file, place.end(), width, size)
+    at = _opened(file, _after(file, file.start, b"boundaryField"))
+    found: dict[str, Array] = {}
+    while not _closes(file, at):
+        key = _KEY.match(file.content, lists.skip(file, at))
+        if key is None:
+            raise FormatError(f"{file.name} is cut off: boundaryField does not end")
+        at = _opened(file, key.end())
+        name = key[0].decode("utf-8", "replace")
+        fitting = _patches(name, sizes)
+        while not _closes(file, at):
+            at = _entry(file, at, width, fitting, sizes, found)
+        at = lists.skip(file, at) + 1
     return found
+
+
+def _patches(key: str, sizes: dict[str, int]) -> list[str]:
+    """The patches that a key of boundaryField is for: in quotes it is a pattern."""
+    if not key.startswith('"'):
+        return [key] if key in sizes else []
+    try:
+        return [name for name in sizes if re.fullmatch(key[1:-1], name)]
+    except re.error:
+        return []
+
+
+def _entry(file: File, at: int, width: int, patches: list[str], sizes: dict[str, int], found: dict[str, Array]) -> int:
+    """Take an entry of a patch, and return where it ends: its values, where it has that name."""
+    key = _KEY.match(file.content, lists.skip(file, at))
+    if key is None:
+        raise FormatError(f"{file.name} is cut off: a patch of boundaryField does not end")
+    at = lists.skip(file, key.end())
+    if key[0] == b"value":
+        end = _past(file, at)
+        for name in patches:
+            found[name], end = _values(file, at, width, sizes[name])
+        at = end
+    else:
+        at = _past(file, at)
+    at = lists.skip(file, at)
+    if file.content[at : at + 1] != b";":
+        raise FormatError(f"{file.name}: an entry does not end with a semicolon")
+    return at + 1
+
+
+def _past(file: File, at: int) -> int:
+    """Where the value of an entry ends that is not needed."""
+    listed = _LIST.match(file.content, at)
+    if listed is not None:
+        return lists.reals(file, listed.end(), _COMPONENTS.get(listed[1], 1))[1]
+    end = file.content.find(b";", at)
+    return len(file.content) if end < 0 else end
+
+
+def _opened(file: File, at: int) -> int:
+    at = lists.skip(file, at)
+    if file.content[at : at + 1] != b"{":
+        raise FormatError(f"{file.name}: a bracket is expected, not {file.content[at : at + 40].decode('latin-1')!r}")
+    return at + 1
+
+
+def _closes(file: File, at: int) -> bool:
+    at = lists.skip(file, at)
+    return file.content[at : at + 1] == b"}"
 
 
 def _width(file: File) -> int:

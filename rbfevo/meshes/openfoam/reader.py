@@ -47,7 +47,7 @@ def read_case(case: Case) -> Mesh:
     inner = len(mesh.neighbour)
     cells, polyhedra = _cells(mesh)
     patches = {
-        name: np.arange(polyhedra + patch.start - inner, polyhedra + patch.start - inner + patch.count)
+        name: np.arange(polyhedra + patch.start - inner, polyhedra + patch.start - inner + patch.size)
         for name, patch in mesh.patches.items()
     }
     arrays, cell_arrays, meanings = _sensitivities(case, mesh, polyhedra)
@@ -88,7 +88,7 @@ def topology(case: Case) -> Topology:
     for name, patch in patches.items():
         if patch.start != place:
             raise FormatError(f"the patch {name} begins at face {patch.start}; {place} is expected")
-        place += patch.count
+        place += patch.size
     if place != len(sizes):
         raise FormatError(f"the patches end at face {place}, but there are {len(sizes)} faces")
     return Topology(points, sizes, corners, owner, neighbour, patches)
@@ -161,7 +161,7 @@ def _sensitivities(
             normal = None if values.ndim > 1 else normal
             arrays[name], kind, note = _integrated(values, entry, mesh)
         else:
-            of_patches = patch_fields(path, {key: patch.count for key, patch in mesh.patches.items()})
+            of_patches = patch_fields(path, {key: patch.size for key, patch in mesh.patches.items()})
             width = max((values.ndim for values in of_patches.values()), default=1)
             total = polyhedra + len(mesh.sizes) - inner
             values = np.zeros((total, 3) if width > 1 else total)
@@ -192,9 +192,9 @@ def _integrated(values: Array, entry: meaning.Entry | None, mesh: Topology) -> t
     total = np.zeros(len(mesh.points))
     for name in chosen:
         patch = mesh.patches[name]
-        faces = slice(patch.start, patch.start + patch.count)
-        first = int(ends[patch.start] - mesh.sizes[patch.start]) if patch.count else 0
-        last = int(ends[patch.start + patch.count - 1]) if patch.count else 0
+        faces = slice(patch.start, patch.start + patch.size)
+        first = int(ends[patch.start] - mesh.sizes[patch.start]) if patch.size else 0
+        last = int(ends[patch.start + patch.size - 1]) if patch.size else 0
         total += meaning.areas_about(mesh.points, mesh.sizes[faces], mesh.corners[first:last], len(mesh.points))
     factor = total if values.ndim == 1 else total[:, None]
     return values * factor, "nodal", "includeSurfaceArea false: multiplied by the areas of the faces about each point"

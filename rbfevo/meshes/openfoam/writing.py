@@ -21,7 +21,7 @@ class Patch(NamedTuple):
 
     kind: str
     start: int
-    count: int
+    size: int
 
 
 def writer(patches: Mapping[str, Patch], sizes: Ints, corners: Ints) -> Callable[[Array, Array, Path], list[str]]:
@@ -65,8 +65,8 @@ def point_displacement(
         if patch.kind in CONSTRAINTS:
             parts.append(f"    {_keyword(name)}\n    {{\n        type            {patch.kind};\n    }}\n".encode())
             continue
-        first = int(ends[patch.start] - sizes[patch.start]) if patch.count else 0
-        last = int(ends[patch.start + patch.count - 1]) if patch.count else 0
+        first = int(ends[patch.start] - sizes[patch.start]) if patch.size else 0
+        last = int(ends[patch.start + patch.size - 1]) if patch.size else 0
         own = displacement[in_order(corners[first:last])]
         value = b"uniform (0 0 0)" if not own.any() else b"nonuniform List<vector>\n" + _listed(own)
         head = f"    {_keyword(name)}\n    {{\n        type            fixedValue;\n        value           ".encode()
