@@ -15,7 +15,9 @@ from test_export import a_run
 from rbfevo import apply, export
 from rbfevo.__main__ import main
 from rbfevo.errors import UserError
+from rbfevo.fit.source import rebuild
 from rbfevo.meshes import opened
+from rbfevo.recorded.record import read
 from rbfevo.scenarios import mesh
 from rbfevo.scenarios.scenario import Scenario
 
@@ -169,8 +171,8 @@ def test_from_mesh_to_surface_positions(d: int, tmp_path: Path, capsys: pytest.C
 
     assert apply.main([*command, str(tmp_path / "body.dat"), "--patches", "body"]) == 0
     assert "DV_MARKER= ( body ): these markers and no others" in capsys.readouterr().out
-    read = def_reads((tmp_path / "body.dat").read_text(), [made.body], len(moved), d)
-    np.testing.assert_array_equal(read[made.body], moved[made.body])
+    alone = def_reads((tmp_path / "body.dat").read_text(), [made.body], len(moved), d)
+    np.testing.assert_array_equal(alone[made.body], moved[made.body])
     assert len((tmp_path / "body.dat").read_text().splitlines()) == len(made.body)
 
     for arguments, message in (
@@ -181,6 +183,21 @@ def test_from_mesh_to_surface_positions(d: int, tmp_path: Path, capsys: pytest.C
     ):
         assert apply.main([*command, str(tmp_path / arguments[0]), *arguments[1:]]) == 2
         assert message in capsys.readouterr().err
+
+
+def test_a_file_and_the_name_in_it_are_found_again_from_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, vectors, along = fields(3)
+    (tmp_path / "mesh.su2").write_text(made.text)
+    vtu(tmp_path / "surface sens.vtu", made, vectors, along)
+    monkeypatch.chdir(tmp_path)
+    given = ["scenario=mesh", "scenario.template=mesh.su2", "scenario.patches=[body]", "method=lloyd", "centers=4"]
+    given += ["scenario.sensitivity=surface sens.vtu:Sensitivity", "figures=false", "quiet=true", "evaluator=eager"]
+    assert main(["hydra.run.dir=run", *given]) == 0
+    monkeypatch.chdir(tmp_path.parent)
+    again = rebuild(tmp_path / "run", read(tmp_path / "run")).scenario
+    np.testing.assert_allclose(wanted(again), -vectors[np.sort(made.body)], rtol=1e-6, atol=1e-7)
 
 
 def test_points_of_two_markers_are_listed_once_and_the_inside_may_turn(
