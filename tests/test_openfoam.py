@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -174,6 +175,15 @@ def test_the_mesh_is_that_of_the_time(ducts: Box, tmp_path: Path) -> None:
         np.testing.assert_array_equal(found.arrays[NAME], 2.0 * lid_values(ducts))
     with pytest.raises(UserError, match=r"has no time 7; there are 100, 150\.5, 200, 250, 1e3"), opened(root / "7"):
         pass
+
+
+def test_points_that_are_newer_than_the_sensitivities_are_noted(ducts: Box, tmp_path: Path) -> None:
+    root = case(tmp_path / "case", ducts)
+    with opened(root) as found:
+        assert "older sensitivities" not in found.notes
+    os.utime(root / "200" / NAME, (1e9, 1e9))
+    with opened(root) as found:
+        assert "constant/polyMesh/points is newer than the sensitivities" in found.notes["older sensitivities"]
 
 
 def test_a_directory_that_is_no_case_is_refused(tmp_path: Path) -> None:

@@ -6,10 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rbfevo.arrays import Ints
+from rbfevo.arrays import Array, Ints
 from rbfevo.meshes.mesh import Faces
 
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
+
+TINY = 1e-150  # areas and volumes below are none
 
 
 class Between(NamedTuple):
@@ -86,3 +88,28 @@ def edges_of(sizes: Ints, corners: Ints) -> Ints:
     number = np.sort((low * count + high)[low != high])
     number = number[np.concatenate([np.ones(min(len(number), 1), bool), number[1:] != number[:-1]])]
     return np.stack([number // count, number % count], axis=1)
+
+
+def areas(points: Array, sizes: Ints, corners: Ints) -> tuple[Array, Array]:
+    """Area vectors [f, 3] and centres [f, 3] of polygons, each cut into triangles about the middle of its corners.
+
+    Args:
+        points: [n, 3]; sizes: [f], corners: of the polygons, one after another.
+    """
+    vectors, centres = np.empty((2, len(sizes), 3))
+    starts = np.cumsum(sizes) - sizes
+    for size in np.unique(sizes):
+        chosen = np.flatnonzero(sizes == size)
+        place = points[corners[starts[chosen, None] + np.arange(size)]]
+        middle = place.mean(axis=1)
+        place -= middle[:, None]
+        total, away, weight = np.zeros((len(chosen), 3)), np.zeros((len(chosen), 3)), np.zeros(len(chosen))
+        for corner in range(size):
+            own, after = place[:, corner], place[:, (corner + 1) % size]
+            vector = 0.5 * np.cross(own, after)
+            area = np.linalg.norm(vector, axis=1)
+            total += vector
+            away += area[:, None] * (own + after) / 3.0
+            weight += area
+        vectors[chosen], centres[chosen] = total, middle + away / np.maximum(weight, TINY)[:, None]
+    return vectors, centres

@@ -23,9 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rbfevo.arrays import Array, Ints
-from rbfevo.meshes.faces import Between
-
-TINY = 1e-150
+from rbfevo.meshes.faces import TINY, Between, areas
 
 
 class Quality(NamedTuple):
@@ -53,27 +51,6 @@ def _sums(of: Ints, values: Array, count: int) -> Array:
     return np.stack([np.bincount(of, column, minlength=count) for column in values.T], axis=1)
 
 
-def _areas(points: Array, faces: Between) -> tuple[Array, Array]:
-    """Area vectors [f, 3] and centres [f, 3] of faces."""
-    vectors, centres = np.empty((2, len(faces.sizes), 3))
-    starts = np.cumsum(faces.sizes) - faces.sizes
-    for size in np.unique(faces.sizes):
-        chosen = np.flatnonzero(faces.sizes == size)
-        place = points[faces.corners[starts[chosen, None] + np.arange(size)]]
-        middle = place.mean(axis=1)
-        place -= middle[:, None]
-        total, away, weight = np.zeros((len(chosen), 3)), np.zeros((len(chosen), 3)), np.zeros(len(chosen))
-        for corner in range(size):
-            own, after = place[:, corner], place[:, (corner + 1) % size]
-            vector = 0.5 * np.cross(own, after)
-            area = np.linalg.norm(vector, axis=1)
-            total += vector
-            away += area[:, None] * (own + after) / 3.0
-            weight += area
-        vectors[chosen], centres[chosen] = total, middle + away / np.maximum(weight, TINY)[:, None]
-    return vectors, centres
-
-
 def _estimates(centres: Array, faces: Between) -> Array:
     """The means [c, 3] of the centres of each cell's faces."""
     cell, face = _uses(faces)
@@ -88,7 +65,7 @@ def _uses(faces: Between) -> tuple[Ints, Ints]:
 
 def _sides(points: Array, faces: Between) -> tuple[Array, Array]:
     """[f] 1 or -1: whether the normal of a face points out of its owner, and [f] the same of its neighbour."""
-    vectors, centres = _areas(points, faces)
+    vectors, centres = areas(points, faces.sizes, faces.corners)
     estimates = _estimates(centres, faces)
     out = [
         np.where((vectors * (centres - estimates[cell])).sum(axis=1) < 0, -1.0, 1.0)
@@ -98,7 +75,7 @@ def _sides(points: Array, faces: Between) -> tuple[Array, Array]:
 
 
 def _quality(points: Array, faces: Between, out: Array, out_of_neighbour: Array) -> Quality:
-    vectors, centres = _areas(points, faces)
+    vectors, centres = areas(points, faces.sizes, faces.corners)
     estimates = _estimates(centres, faces)
     cell, face = _uses(faces)
     side = np.concatenate([out, out_of_neighbour[faces.neighbour >= 0]])

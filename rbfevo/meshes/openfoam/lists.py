@@ -43,6 +43,11 @@ def exists(path: Path) -> bool:
     return path.is_file() or path.with_name(f"{path.name}.gz").is_file()
 
 
+def modified(path: Path) -> float:
+    """When a file, plain or compressed, was written last; seconds."""
+    return max(one.stat().st_mtime for one in (path, path.with_name(f"{path.name}.gz")) if one.is_file())
+
+
 def read(path: Path) -> File:
     """A file of a case, plain or with `.gz` behind its name.
 

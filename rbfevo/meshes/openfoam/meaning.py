@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rbfevo.arrays import Array, Ints
+from rbfevo.meshes.faces import areas
 from rbfevo.meshes.mesh import FormatError
 from rbfevo.meshes.openfoam.case import Case
 from rbfevo.meshes.openfoam.dictionary import UNKNOWN, boolean, read_dictionary
@@ -80,28 +81,5 @@ def areas_about(points: Array, sizes: Ints, corners: Ints, count: int) -> Array:
     Args:
         points: [count, 3]; sizes: [f], corners: of some faces, one after another.
     """
-    area = np.linalg.norm(area_vectors(points, sizes, corners), axis=1)
+    area = np.linalg.norm(areas(points, sizes, corners)[0], axis=1)
     return np.bincount(corners, np.repeat(area, sizes), minlength=count)
-
-
-def area_vectors(points: Array, sizes: Ints, corners: Ints) -> Array:
-    """The area vectors [f, 3] of polygons, each about the mean of its corners."""
-    face = np.repeat(np.arange(len(sizes)), sizes)
-    starts = np.cumsum(sizes) - sizes
-    place = points[corners]
-    middle = np.stack([np.bincount(face, column, minlength=len(sizes)) for column in place.T], axis=1) / sizes[:, None]
-    own = place - middle[face]
-    within = np.arange(len(corners)) - starts[face]
-    behind = own[starts[face] + (within + 1) % sizes[face]]
-    cross = np.cross(own, behind) / 2.0
-    return np.stack([np.bincount(face, column, minlength=len(sizes)) for column in cross.T], axis=1)
-
-
-def suffix(name: str) -> str:
-    """The part of a field's name behind what it is: the adjoint solver and how the mesh was taken to move."""
-    for front in ("pointSens", "faceSens"):
-        if name.startswith(front):
-            for form in ("NormalVec", "Normal", "Vec"):
-                if name.startswith(front + form):
-                    return name[len(front + form) :]
-    return name

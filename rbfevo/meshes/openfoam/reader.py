@@ -55,6 +55,8 @@ def read_case(case: Case) -> Mesh:
     notes = {"case": f"points of {source}"}
     if meanings:
         notes["sensitivities"] = f"{', '.join(meanings)} of time {case.time}"
+    if any(lists.modified(path) < lists.modified(source) for path in case.fields().values()):
+        notes["older sensitivities"] = f"{source} is newer than the sensitivities: are they those of this mesh?"
     return Mesh(
         mesh.points,
         writing.writer(mesh.patches, mesh.sizes, mesh.corners),
