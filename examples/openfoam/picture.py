@@ -96,5 +96,5 @@ def surface(mesh: Mesh, names: list[str], points: np.ndarray) -> Any:
 
 if __name__ == "__main__":
     if len(sys.argv) != 5:
-        raise SystemExit(f"usage: {__doc__.splitlines()[0].split('`')[1]}")
+        raise SystemExit("usage: python examples/openfoam/picture.py OUT/case OUT/export-S OUT/step-S PICTURE.png")
     main(*(Path(word) for word in sys.argv[1:]))
