@@ -147,7 +147,8 @@ def carry_out(options: argparse.Namespace) -> None:
         centers = chosen.moved(rows) if what == "displacements" else chosen.displacement(chosen.centers, weights)
         length = np.linalg.norm(displacement, axis=1)
         largest = float(np.linalg.norm(centers, axis=1).max(initial=0.0))
-        quality = None if faces is None else qualities(mesh.points, moved, faces)
+        left_to_mover = out.name == FORMS[1]  # which moves the inside in its own way
+        quality = None if faces is None or left_to_mover else qualities(mesh.points, moved, faces)
         found = [*doubts.warnings(record, chosen, mesh, moved, None if carried else length, largest), *found]
         if quality and quality[0].non_orthogonality <= 90.0 < quality[1].non_orthogonality:
             found.append("the worst non-orthogonality exceeds 90 degrees: faces of cells are turned over")

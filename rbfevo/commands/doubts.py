@@ -9,9 +9,11 @@ import numpy as np
 from rbfevo import meshes
 from rbfevo.arrays import Array
 from rbfevo.geometry.triangles import doubled_area_vectors
+from rbfevo.meshes.surface import patch_points
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import Setup
 
+SLIDING = ("symmetryPlane", "symmetry", "empty")  # patches whose points move in their plane
 FAR = 0.01  # of the largest displacement of a center: what moves farther outside the box gets a warning
 
 
@@ -36,6 +38,8 @@ def warnings(
                 f"{nearest:.4g} away), so nothing moves; {_boxes(record, lowest, highest)}"
             )
             return
+    if mesh.patch_types and length is not None:
+        yield from _other_patches(record, mesh, length)
     if "case" in mesh.notes:
         own = {tuple(point) for point in mesh.points.tolist()}
         away = sum(tuple(point) not in own for point in record.vertices.tolist())
@@ -60,6 +64,21 @@ def warnings(
     turned = int((_dots(mesh.points, moved, triangles) < 0).sum())
     if turned:
         yield f"{turned} of {len(triangles)} triangles turn by more than 90 degrees: the surface may fold over"
+
+
+def _other_patches(record: Record, mesh: meshes.Mesh, length: Array) -> Iterator[str]:
+    """How far patches that are neither of the design surface nor planes of symmetry are moved."""
+    template, farthest = {tuple(point) for point in record.vertices.tolist()}, {}
+    for name, kind in mesh.patch_types.items():
+        if kind in SLIDING or not len(mesh.patches[name]):
+            continue
+        points = patch_points(mesh, [name], "--mesh")
+        others = [i for i in points.tolist() if tuple(mesh.points[i].tolist()) not in template]
+        farthest[name] = float(length[others].max(initial=0.0))
+    moved = {name: far for name, far in farthest.items() if far > FAR * float(length.max(initial=0.0))}
+    if moved:
+        listed = ", ".join(f"{name} by up to {far:.4g}" for name, far in moved.items())
+        yield f"points beside the design surface move, too: {listed}; --volume laplace holds them"
 
 
 def inverted(mesh: meshes.Mesh, moved: Array) -> str:
