@@ -176,7 +176,7 @@ def test_every_method_interrupted_keeps_what_it_found_and_goes_on_to_the_same_en
     assert record.summary["evaluations"] == whole.summary["evaluations"]
 
 
-SMALLEST: dict[str, dict[str, Any]] = {  # the least that each takes: one setup, start, candidate or preference where it can
+SMALLEST: dict[str, dict[str, Any]] = {  # the least of each: one setup, start, candidate or preference where it can
     "cmaes": {"parents": 1, "population": 2, "generations": 1},
     "gradient": {"starts": 1, "population": 16, "generations": 5, "polish": 1, "front": 2, "coarse": 100},
     "given": {"centers": str(GIVEN / "one.csv")},

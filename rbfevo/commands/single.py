@@ -69,7 +69,7 @@ def announce(top: RunConfig, composition: Composition) -> None:
     given = top.method.get("centers") if isinstance(top.method, dict) else None
     files = [given] if isinstance(given, str) else given if isinstance(given, list) else []
     for path in files:
-        if isinstance(path, str) and path != names.MISSING:
+        if isinstance(path, str):
             refuse_missing(names.existing_home(path))
     if top.quiet:
         return

@@ -31,12 +31,13 @@ class GivenCenters(Heuristic):
     name = "given"
     brings = True
 
-    def __init__(self, centers: Any) -> None:
+    def __init__(self, centers: Any = None) -> None:
         super().__init__()
         files = [centers] if isinstance(centers, str) else centers
         usable = isinstance(files, Sequence) and all(isinstance(file, str) and file for file in files)
         if not usable or not files:
-            raise UserError(f"method.centers={centers}: give a file with control points, or a list of files")
+            shown = "null" if centers is None else centers
+            raise UserError(f"method.centers={shown}: give a file with control points, or a list of files")
         self.files = tuple(files)
         if len(set(self.files)) < len(self.files):
             raise UserError(f"method.centers={','.join(self.files)}: a file is listed twice")

@@ -61,8 +61,8 @@ def placed(found: ControlPoints, scenario: Scenario) -> Placed:
         notes.append(note)
     elif found.mirrored is not None and found.mirrored.any():
         notes.append(
-            f"the file calls {int(found.mirrored.sum())} of them mirror images of others; without scenario.symmetry they "
-            "are control points of their own"
+            f"the file calls {int(found.mirrored.sum())} of them mirror images of others; without scenario.symmetry "
+            "they are control points of their own"
         )
     return Placed(points, [*notes, *_remarks(points, scenario)])
 
@@ -112,7 +112,8 @@ def _coordinates(found: ControlPoints, scenario: Scenario) -> tuple[Array, list[
     if wrong.size:
         raise UserError(
             f"{_count(wrong.size, len(points))} off the mid-plane {planar.name} = {planar.at:.17g} of the planar "
-            f"design, by up to {off.max():g} ({_listed(wrong.tolist())}); put them on it, or leave the column {planar.name} out"
+            f"design, by up to {off.max():g} ({_listed(wrong.tolist())}); put them on it, or leave "
+            f"the column {planar.name} out"
         )
     if off.any():
         notes = [
