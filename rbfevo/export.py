@@ -247,7 +247,7 @@ def closing(
         else ""
     )
     lines = [
-        f"{options.pick.strip()}: row {chosen.row} of {options.run} ({record.method[chosen.row]}): "
+        f"{options.pick.strip()}: row {chosen.row} of {options.run} ({record.origin(chosen.row)}): "
         f"R = {chosen.regularity:.4g}, P = {chosen.improvement_potential:.4f}{bounded}",
         f"{len(chosen.centers)} centers{mirrored}: {record.title}",
         f"{rule if move.direction else 'best approximation'}: a vertex moves by at most {reached:.4g}"

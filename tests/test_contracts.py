@@ -28,9 +28,11 @@ from rbfevo.scoring.representations import Pull, Representation, representation_
 GROUPS = ("scenario", "kernel", "representation", "method")
 OPTIONS = [(group, path.stem) for group in GROUPS for path in sorted((CONF / group).glob("*.yaml"))]
 BEFORE = "7673209e82a192b516b5cdac"  # of `settings("nsga2")`, by a version of before `criterion.norm`
-METHODS = {  # small budgets
+GIVEN = Path(__file__).with_name("given")  # control points for the plane, in files
+METHODS: dict[str, dict[str, Any]] = {  # small budgets
     "cmaes": {"parents": 4, "population": 8, "generations": 3},
     "gradient": {"starts": 16, "population": 16, "generations": 6, "polish": 2, "front": 6, "coarse": 100},
+    "given": {"centers": [str(GIVEN / "four.csv"), str(GIVEN / "four_others.csv")]},
     "lloyd": {"starts": 2},
     "nsga2": {"population": 12, "generations": 3},
     "ols": {"per_axis": 6},
@@ -108,11 +110,11 @@ def test_every_method_stays_in_the_box_and_follows_its_seed(method: str, tmp_pat
     assert (own >= record.lower - 1e-12).all()
     assert (own <= record.upper + 1e-12).all()
     np.testing.assert_array_equal(record.centers, found[1].centers)
-    if method != "ols":  # which draws nothing
+    if method not in ("ols", "given"):  # which draw nothing
         assert not np.array_equal(record.centers, found[2].centers)
 
 
-@pytest.mark.parametrize("method", [name for name in METHODS if name not in ("lloyd", "ols", "random")])
+@pytest.mark.parametrize("method", [name for name in METHODS if name not in ("given", "lloyd", "ols", "random")])
 def test_every_search_survives_scores_that_are_nan_and_goes_on_from_its_state(method: str) -> None:
     def started() -> Any:
         made = run.Run(settings(method))
@@ -174,9 +176,10 @@ def test_every_method_interrupted_keeps_what_it_found_and_goes_on_to_the_same_en
     assert record.summary["evaluations"] == whole.summary["evaluations"]
 
 
-SMALLEST = {  # the least that each takes: one setup, start, candidate or preference where it can
+SMALLEST: dict[str, dict[str, Any]] = {  # the least of each: one setup, start, candidate or preference where it can
     "cmaes": {"parents": 1, "population": 2, "generations": 1},
     "gradient": {"starts": 1, "population": 16, "generations": 5, "polish": 1, "front": 2, "coarse": 100},
+    "given": {"centers": str(GIVEN / "one.csv")},
     "lloyd": {"starts": 1, "iterations": 1},
     "nsga2": {"population": 4, "generations": 1},
     "ols": {"per_axis": 2},

@@ -33,7 +33,7 @@ def single(config: DictConfig, resumed: bool) -> int:
         from rbfevo.runs.config import check
         from rbfevo.runs.run import carry_out
 
-        settings = check(config)
+        settings = check(config, arguments)
         if resumed:
             code = carry_out(settings, directory, arguments, resumed)
             write_hydra(config, directory, only=("config.yaml", "overrides.yaml"))  # with what has changed on the way
@@ -61,10 +61,15 @@ def announce(top: RunConfig, composition: Composition) -> None:
     """Print the first line of a run, before all that takes a while is imported.
 
     Raises:
-        UserError: if a file of the scenario is missing, which is the most usual mistake.
+        UserError: if a file of the scenario or the method is missing, which is the most usual mistake.
     """
     for key in names.FILES:
         if isinstance(path := top.scenario.get(key), str):
+            refuse_missing(names.existing_home(path))
+    given = top.method.get("centers") if isinstance(top.method, dict) else None
+    files = [given] if isinstance(given, str) else given if isinstance(given, list) else []
+    for path in files:
+        if isinstance(path, str):
             refuse_missing(names.existing_home(path))
     if top.quiet:
         return
@@ -72,7 +77,8 @@ def announce(top: RunConfig, composition: Composition) -> None:
     if composition.choices.get("representation") not in (None, "rbf"):
         groups[1] = "representation"
     chosen = [f"{group} {composition.choices.get(group)}" for group in groups]
-    print(f"{', '.join(chosen)}, {top.centers} centers, seed {top.seed}: {composition.directory}", flush=True)
+    centers = f"centers of {', '.join(map(str, files))}" if files else f"{top.centers} centers"
+    print(f"{', '.join(chosen)}, {centers}, seed {top.seed}: {composition.directory}", flush=True)
 
 
 def locked(directory: Path, work: Callable[[], int], before: Callable[[], object]) -> int:

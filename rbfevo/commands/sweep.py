@@ -66,7 +66,7 @@ def _carry_out_job(config: DictConfig, top: RunConfig, composition: Composition,
         torch.set_num_threads(share)
     if torch.cuda.is_available() and torch.cuda.device_count() > 1:
         torch.cuda.set_device(int(current.job.num) % torch.cuda.device_count())
-    settings, numbered = check(config), composition.directory
+    settings, numbered = check(config, composition.overrides), composition.directory
     directory, how = jobs.place_of(sweep, numbered, identity(settings, whole=True))
     try:
         if how == "done":

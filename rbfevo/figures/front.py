@@ -15,6 +15,7 @@ from rbfevo.figures.series import HEURISTICS, Series, kinds, series
 from rbfevo.recorded.record import Record, knee
 
 DECADES = 2.0  # a regularity that spans more than this is drawn on a logarithmic axis
+NAMED = 12  # setups at most that are written beside their marks by name
 
 
 class Scale(NamedTuple):
@@ -44,6 +45,7 @@ def picture(record: Record) -> Figure:
         shown = [(series(record, *kind), rows) for kind, rows in kinds(record).items()]
         for look, rows in sorted(shown, key=lambda kind: kind[0].order):
             mark(axes, scale, look, record.regularity[rows], record.potential[rows])
+        _name(axes, scale, record)
         _mark_knee(axes, scale, record)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(loc="upper left", bbox_to_anchor=(1.02, 1.015), handletextpad=0.4, labelspacing=0.75)
@@ -126,6 +128,16 @@ def staircase(
     x = scale.place(regularity)
     x, y = np.concatenate([[scale.lower], x, x[-1:]]), np.concatenate([potential[:1], potential, [axes.get_ylim()[0]]])
     axes.step(x, y, where="pre", color=color, linewidth=0.9, alpha=alpha, zorder=2)
+
+
+def _name(axes: Axes, scale: Scale, record: Record) -> None:
+    """Write the names of setups beside their marks, where several have one, but not too many."""
+    named = [] if record.label is None else np.flatnonzero(record.scored & (record.label != "")).tolist()
+    if record.label is None or not 1 < len(named) <= NAMED:
+        return
+    for row in named:
+        place = float(scale.place(record.regularity[row])), float(record.potential[row])
+        axes.annotate(str(record.label[row]), place, (6, 4), textcoords="offset points", fontsize=8, color=style.GREY)
 
 
 def _mark_knee(axes: Axes, scale: Scale, record: Record) -> None:

@@ -118,7 +118,7 @@ def compose(record: Record, choices: list[Choice], rows: list[Row], width: float
 
 def _head(axes: Axes, record: Record, choice: Choice) -> None:
     R, P = record.regularity[choice.index], record.potential[choice.index]
-    source, preference = str(record.method[choice.index]), record.preference[choice.index]
+    source, preference = record.origin(choice.index), record.preference[choice.index]
     if np.isfinite(preference):
         source += f", preference {preference:g}"
     for text, height, look in (

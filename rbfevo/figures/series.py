@@ -9,7 +9,7 @@ import numpy as np
 from rbfevo.figures import style
 from rbfevo.recorded.record import Record
 
-HEURISTICS = ("random", "lloyd", "ols")
+HEURISTICS = ("random", "lloyd", "ols", "given")
 
 
 class Series(NamedTuple):
@@ -34,7 +34,7 @@ def kinds(record: Record) -> dict[tuple[str, bool], list[int]]:
 
 
 def series(record: Record, method: str, preferred: bool) -> Series:
-    """Colours and marks of the paper; a series that the paper lacks keeps the colour and changes the mark."""
+    """Colours and marks of the paper; another front keeps the colour and changes the mark."""
     if preferred:
         return Series(f"preferences ({method})", style.MAGENTA, "^", 52, 5)
     if method in ("nsga2", "gradient"):
@@ -49,4 +49,6 @@ def series(record: Record, method: str, preferred: bool) -> Series:
         return Series("Lloyd", style.ORANGE, "o", 84, 6)
     if method == "ols":
         return Series("OLS", style.ORANGE, "D", 66, 6)
+    if method == "given":
+        return Series("placed by hand (given)", style.RED, "s", 60, 6)
     return Series(method, style.GREY, "s", 30, 5)

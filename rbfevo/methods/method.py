@@ -6,7 +6,7 @@ import abc
 import dataclasses
 import math
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,12 +26,14 @@ class Rows(NamedTuple):
 
     Attributes:
         centers: [p, m, d], or other setups [p, *setup]; scores: [p]; preference: [p], NaN where there is none.
+        labels: a name for each setup, or none at all.
     """
 
     method: str
     centers: Tensor
     scores: Scores
     preference: Tensor
+    labels: Sequence[str] = ()
 
 
 class HistoryLine(NamedTuple):
@@ -107,12 +109,16 @@ class Method(abc.ABC):
         steps: generations of a search; 1 for a heuristic.
         initial: setups of the run's initial population that the method starts from.
         prefers: whether what it finds depends on the preferences asked for.
+        brings: whether its own settings determine the number of centers, as `bring` returns it.
+        inputs: what `bring` has read, so that it can be compared when a run is resumed, or None.
     """
 
     name: str
     steps: int = 1
     initial: int = 0
     prefers: bool = False
+    brings: bool = False
+    inputs: Tensor | None = None
 
     def check(self, preferences: tuple[float, ...] | None) -> None:  # noqa: B027 - most have nothing to refuse
         """Refuse settings that do not fit the preferences asked for.
@@ -120,6 +126,10 @@ class Method(abc.ABC):
         Raises:
             UserError: naming the setting and what it has to be.
         """
+
+    def bring(self, scenario: Scenario) -> tuple[int, dict[str, str]]:
+        """Of a method that brings its centers: how many a setup has on a scenario, and notes by title."""
+        raise NotImplementedError
 
     @abc.abstractmethod
     def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:

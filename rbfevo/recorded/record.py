@@ -37,6 +37,7 @@ class Record:
         blend: [n] what rows of U are multiplied by, 0 where a vertex is held, and the held points [h, d]; None without.
         genotype: [p, D] setups of another representation than RBFs, whose `centers` are where control points sit.
         gradient_raw: [n, k] the gradient before smoothing, in the scale of `gradient`; None without smoothing.
+        label: [p] names of setups that have one, such as the files of `method=given`, else empty; None where none has.
         bounded_potential: [p] P_p where `criterion.norm` is not 2; then it is what was searched; else None.
     """
 
@@ -60,6 +61,12 @@ class Record:
     held: Array | None = None
     gradient_raw: Array | None = None
     bounded_potential: Array | None = None
+    label: Array | None = None
+
+    def origin(self, row: int) -> str:
+        """The method of a row, with the name of its setup where it has one."""
+        name = "" if self.label is None else str(self.label[row])
+        return f"{self.method[row]}{name and f' ({name})'}"
 
     @property
     def potential(self) -> Array:
@@ -132,7 +139,7 @@ def read(run: Path) -> Record:
     """
     if not run.is_dir():
         raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
-    setups = _arrays(run / "setups.npz", SETUPS, ("variability", "genotype", "bounded_potential"))
+    setups = _arrays(run / "setups.npz", SETUPS, ("variability", "genotype", "bounded_potential", "label"))
     scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays", "blend", "held", "gradient_raw"))
     stays = scenario.pop("stays", None)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))

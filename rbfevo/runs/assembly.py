@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -10,7 +11,7 @@ import torch
 from rbfevo import methods
 from rbfevo.errors import UserError
 from rbfevo.methods.method import Method, Problem, Rows, no_preference, random_stream
-from rbfevo.runs.config import Settings, build
+from rbfevo.runs.config import OWN_CENTERS, Settings, build
 from rbfevo.runs.identity import stages_of
 from rbfevo.scenarios.coarse import coarsened, matched
 from rbfevo.scenarios.scenario import Scenario
@@ -48,6 +49,9 @@ class Parts:
         self.settings = settings
         self.device = chosen_device(settings.device)
         self.scenario: Scenario = build(settings.scenario)
+        method = build(settings.method)
+        self.stages = stages_of(method)
+        self.settings = settings = self._counted(settings)
         n, d = self.scenario.vertices.shape
         if settings.centers > n:
             raise UserError(
@@ -58,10 +62,8 @@ class Parts:
             settings.representation, self.scenario, self.kernel, settings.centers
         )
         self.space = self.representation.space(self.scenario, settings.centers)
-        method = build(settings.method)
         self._refuse_too_few_vertices(method)
         self.name: str = method.name
-        self.stages = stages_of(method)
         for stage in self.stages:
             stage.check(settings.preferences)
         self.planned = sum(stage.planned_evaluations(settings.preferences) for stage in self.stages)
@@ -69,6 +71,23 @@ class Parts:
         self._backend = self._chosen_backend() if backend is None else backend
         self.full_evaluator = self.evaluator = self._evaluator(self.scenario)
         self.coarse_evaluators: list[Evaluator] = []
+
+    def _counted(self, settings: Settings) -> Settings:
+        """The settings with the number of centers that a method brings, whose notes join the scenario's.
+
+        Raises:
+            UserError: if another number was asked for.
+        """
+        for stage in (stage for stage in self.stages if stage.brings):
+            count, notes = stage.bring(self.scenario)
+            if settings.centers not in (OWN_CENTERS, count):
+                raise UserError(
+                    f"centers={settings.centers}: the setups of method={stage.name} have {count} centers; leave "
+                    f"centers= out, or set centers={count}"
+                )
+            settings = dataclasses.replace(settings, centers=count)
+            self.scenario = dataclasses.replace(self.scenario, notes={**self.scenario.notes, **notes})
+        return settings
 
     def _chosen_backend(self) -> str:
         n = len(self.scenario.vertices)

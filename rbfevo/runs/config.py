@@ -10,6 +10,7 @@ import inspect
 import math
 import re
 import typing
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from rbfevo.choices import DEVICES, EVALUATORS, MANIPULATIONS, refuse_others
 from rbfevo.errors import UserError
 
 CONF = next(path for path in (Path(__file__).parents[1] / "conf", Path(__file__).parents[2] / "conf") if path.is_dir())
+CENTERS = 25  # the default
+OWN_CENTERS = 0  # as many as the method's own setups have
 
 
 @dataclasses.dataclass
@@ -36,7 +39,7 @@ class RunConfig:
     experiment: Any = None
     criterion: Any = None
     seed: int = 0
-    centers: int = 25
+    centers: int = CENTERS
     preference: Any = None
     device: str = "auto"
     evaluator: str = "auto"
@@ -51,7 +54,10 @@ ROOTS = ("hydra", *(field.name for field in dataclasses.fields(RunConfig)))  # w
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Checked settings of one run; the four nodes, plain dictionaries, are what `build` makes their objects of."""
+    """Checked settings of one run; the four nodes, plain dictionaries, are what `build` makes their objects of.
+
+    `centers` is `OWN_CENTERS` where the method brings its own and nobody has asked for a number.
+    """
 
     scenario: dict[str, Any]
     kernel: dict[str, Any]
@@ -69,13 +75,18 @@ class Settings:
     criterion_norm: float = 2.0
 
 
-def check(config: DictConfig) -> Settings:
+def check(config: DictConfig, overrides: Sequence[str] = ()) -> Settings:
     """Check every key's type and range.
+
+    Args:
+        config: the composed configuration.
+        overrides: of the command line; `centers=25` among them is asked for, and otherwise the default.
 
     Raises:
         UserError: one line that names the key, what is wrong with it, and what there is.
     """
     top = check_top(config)
+    asked = top.centers != CENTERS or any(text.lstrip("+").startswith("centers=") for text in overrides)
     return Settings(
         scenario=checked_target(top.scenario, "scenario"),
         kernel=checked_target(top.kernel, "kernel"),
@@ -83,7 +94,7 @@ def check(config: DictConfig) -> Settings:
         representation=checked_target(top.representation or RBF, "representation"),
         manipulation=str(top.manipulation["name"]),
         seed=top.seed,
-        centers=top.centers,
+        centers=top.centers if asked or not brings_centers(top.method) else OWN_CENTERS,
         preferences=preferences(top.preference),
         device=top.device,
         evaluator=top.evaluator,
@@ -185,6 +196,11 @@ MOVED = {f"rbfevo.kernels.{name}": f"rbfevo.scoring.kernels.{name}" for name in 
 def target_of(path: str) -> Any:
     """What a `_target_` points at, also one of a configuration that an older run left behind."""
     return hydra.utils.get_object(MOVED.get(path, path))
+
+
+def brings_centers(node: Any) -> bool:
+    """Whether a method's own settings determine the number of centers."""
+    return isinstance(node, dict) and "_target_" in node and bool(getattr(target_of(node["_target_"]), "brings", False))
 
 
 def checked_target(node: Any, path: str) -> dict[str, Any]:

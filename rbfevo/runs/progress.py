@@ -136,6 +136,10 @@ class Reporter:
         preference = table["preference"][i]
         origin = table["method"][i] + ("" if math.isnan(preference) else f", preference {preference:g}")
         self.line(f"knee: R = {objectives[i, 0]:.4g}, {P} = {objectives[i, 1]:.4f} (row {i}, {origin})")
+        if "label" in table:
+            for row in np.flatnonzero(table["label"] != "").tolist():
+                R, value = objectives[row]
+                self.line(f"{table['label'][row]}: R = {R:.4g}, {P} = {value:.4f} (row {row}, {table['method'][row]})")
         if idle is not None:
             picks = {"knee": i, "best R": int(objectives[:, 0].argmax()), f"best {P}": int(objectives[:, 1].argmax())}
             for name, row in picks.items():

@@ -148,6 +148,7 @@ class Run(Parts):
             "counters": {counter: self.total(counter) for counter in COUNTERS},
             "warnings": self.warnings,
             "design": self._design,
+            "inputs": self._inputs,
             "rows": [rows_state(rows) for rows in self.rows[self._drawn : self._before]],
             "method": self.stages[self._stage_index].state_dict() if self._step else None,
         }
@@ -158,12 +159,22 @@ class Run(Parts):
         parts = (self.scenario.vertices, self.scenario.gradient, self.scenario.weights)
         return digest(*parts, *([] if self.scenario.blend is None else [self.scenario.blend]))
 
+    @functools.cached_property
+    def _inputs(self) -> str | None:
+        """A hash of what methods have read from files; None where they read none."""
+        found = [stage.inputs for stage in self.stages if stage.inputs is not None]
+        return digest(*found) if found else None
+
     def _refuse_others(self, saved: dict[str, Any]) -> None:
         """Raise UserError if it was saved on another design, or the budgets have changed so that it does not fit."""
         if saved["design"] != self._design:
             raise UserError(
                 "the mesh or gradient of the scenario has changed since the run started (was a file replaced?); "
                 "start a new run"
+            )
+        if saved.get("inputs") != self._inputs:
+            raise UserError(
+                "the centers in the files of method.centers have changed since the run started; start a new run"
             )
         index, step = int(saved["stage"]), int(saved["step"])
         for place, (stage, steps) in enumerate(zip(self.stages, saved["steps"], strict=True)):

@@ -41,6 +41,8 @@ def setup_table(
 
     Where another potential than P was searched, `searched` are the rows' scores with that one, `bounded_potential`.
 
+    `label` [p] names the setups that have a name of their own; it is left out where none has.
+
     Of another representation than RBFs, `genotype` [p, D] are the setups, and `centers` [p, h, dimension] where their
     control points sit.
     """
@@ -49,6 +51,7 @@ def setup_table(
     def joined(parts: Iterable[torch.Tensor]) -> np.ndarray:
         return torch.cat(list(parts)).cpu().to(torch.float64).numpy()
 
+    labels = [label for series in rows for label in (series.labels or [""] * len(series.centers))]
     judged = [series.scores for series in rows] if searched is None else searched
     objectives = torch.cat([scores.objectives for scores in judged])
     failed = torch.cat([series.scores.failed for series in rows])
@@ -66,6 +69,7 @@ def setup_table(
         "method": method,
         "preference": joined(series.preference for series in rows),
         "nondominated": (nondominated(objectives) & ~failed).cpu().numpy(),
+        **({"label": np.array(labels, dtype=np.str_)} if any(labels) else {}),
     }
 
 

@@ -34,6 +34,7 @@ ON_DARK = {
     style.GREEN: "#6fcf72",
     style.ORANGE: "#ffa733",
     style.GREY: "#a8a8a8",
+    style.RED: "#ff6b63",
 }
 SYMBOLS = {"o": "circle", "^": "triangle-up", "D": "diamond", "s": "square"}
 
@@ -180,7 +181,7 @@ def _run(
         "n": n,
         "rows": rows.tolist(),
         "series": which[rows].tolist(),
-        "method": record.method[rows].tolist(),
+        "method": [record.origin(int(row)) for row in rows],
         "preference": [None if not np.isfinite(value) else value for value in record.preference[rows].tolist()],
         "nondominated": record.nondominated[rows].astype(int).tolist(),
         "regularity": packed(record.regularity[rows], "<f8"),
