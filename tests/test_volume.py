@@ -190,7 +190,7 @@ def test_the_template_is_found_in_the_boundary_or_refused() -> None:
     finer = np.concatenate([vertices, vertices[:3] + np.array([0.01, 0, 0])])
     with pytest.raises(
         UserError,
-        match=r"its boundary lacks 3 of 28 vertices of the run's template, .*--design PATCH; there are xmin, xmax",
+        match=r"its boundary lacks 3 of the 28 vertices of the run's template, .*--design PATCH; there are xmin, xmax",
     ):
         found(mesh, finer)
     with pytest.raises(UserError, match="its boundary lacks all vertices of the run's template"):
