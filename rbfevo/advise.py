@@ -116,6 +116,7 @@ def advise(config: DictConfig, composition: Composition) -> int:
     report(settings, f"recommended: {described(choice.trial, scenario)}")
     for line in (*why, *commands):
         report(settings, line)
+    report(settings, f"files: {directory}: {', '.join(name for name in RESULTS if (directory / name).exists())}")
     return 0
 
 
@@ -165,7 +166,8 @@ def kernels_of(settings: Settings, given: set[str], scenario: Scenario) -> list[
 def progress(trials: Sequence[Trial]) -> str:
     """One line for a kernel and radius: gains of the numbers that were optimized."""
     parts = [
-        f"{trial.centers} centers {trial.optimized:.3f} (nested {trial.nested:.3f}, Lloyd {trial.lloyd:.3f})"
+        f"{trial.centers} center{'s' * (trial.centers != 1)} {trial.optimized:.3f} "
+        f"(nested {trial.nested:.3f}, Lloyd {trial.lloyd:.3f})"
         for trial in trials
         if math.isfinite(trial.optimized)
     ]
@@ -179,7 +181,7 @@ def described(trial: Trial, scenario: Scenario) -> str:
     radius = "" if trial.support is None else f", support radius {trial.support:.4g}"
     smooth = "" if scenario.smooth is None else f", sensitivity smoothed over {scenario.smooth:.4g}"
     centers = f"{trial.centers} center{'s' * (trial.centers != 1)}"
-    return f"{centers}, kernel {trial.kernel}{radius}{smooth}; gain {trial.gain:.3f}"
+    return f"{centers}, kernel {trial.kernel}{radius}{smooth}; gain {trial.gain:.3f} (P = {trial.gain**2:.3f})"
 
 
 def commands_of(composition: Composition, choice: Choice, scenario: Scenario, norm: float) -> list[str]:

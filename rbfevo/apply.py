@@ -177,6 +177,11 @@ def target(options: argparse.Namespace) -> Path:
     if options.volume != "laplace" and (options.design or options.slip):
         raise UserError(f"--{'design' if options.design else 'slip'} is for --volume laplace")
     meshes.refuse_ending(options.mesh, options.out)
+    if options.patches is not None and not meshes.only_surface(options.mesh, options.out):
+        raise UserError(
+            "--patches is for surface positions of SU2 alone (--mesh FILE.su2 --out FILE.dat); patches of the design "
+            "surface are named by --design, with --volume laplace"
+        )
     if meshes.is_case(options.mesh):
         time: Path = options.out
         if not time.parent.is_dir():
@@ -198,8 +203,6 @@ def target(options: argparse.Namespace) -> Path:
 
 def refuse_out(options: argparse.Namespace) -> None:
     """Raise UserError if the result cannot be written to the file --out."""
-    if options.patches is not None and not meshes.only_surface(options.mesh, options.out):
-        raise UserError("--patches: only surface positions of SU2 (--mesh FILE.su2 --out FILE.dat) are written in part")
     if options.out.exists() and not options.overwrite:
         raise UserError(f"--out {options.out} already exists: choose another file, or add --overwrite")
     if options.out.is_dir():

@@ -156,6 +156,11 @@ def test_the_reasons_are_true_to_the_numbers() -> None:
     assert third.endswith("radius 4 brings -2%, and 8 centers +44%")
 
 
+def test_a_recommendation_at_the_limit_says_so() -> None:
+    trials = [trial("wendland", 1.0, m, gain) for m, gain in ((1, 0.3), (2, 0.5), (4, 0.9))]
+    assert "4 is the most that was tried; more may gain more: centers=8" in reasons(trials, choose(trials))
+
+
 def test_numbers_and_radii() -> None:
     assert study.numbers(16) == ([1, 2, 3, 4, 6, 8, 12, 16], [4, 8, 16])
     assert study.numbers(1) == ([1], [1])

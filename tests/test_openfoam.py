@@ -394,6 +394,8 @@ def test_a_case_that_has_moved_since_the_run_gets_a_warning(
     error = capsys.readouterr().err
     assert "vertices of the run's template are not among the points of" in error
     assert "1/polyMesh/points; if the case has moved" in error
+    assert apply.main([*command, "--mesh", str(root / "1"), "--volume", "laplace", "--overwrite"]) == 2
+    assert "If the case has moved since the run, give --mesh an earlier time, such as CASE/0" in capsys.readouterr().err
     assert apply.main([*command, "--mesh", str(root / "0"), "--overwrite", "--quiet"]) == 0
     assert "the case has moved" not in capsys.readouterr().err
     with opened(root / "1") as first, opened(root / "2") as second:

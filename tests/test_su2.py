@@ -177,7 +177,7 @@ def test_from_mesh_to_surface_positions(d: int, tmp_path: Path, capsys: pytest.C
 
     for arguments, message in (
         (["a.dat", "--patches", "wing"], "--patches=wing: there is no such patch; there are body, far"),
-        (["a.su2", "--patches", "body"], "--patches: only surface positions of SU2"),
+        (["a.su2", "--patches", "body"], "--patches is for surface positions of SU2"),
         (["a.csv"], "choose the ending of the mesh, .su2, or one of .vtp, .vtu, .vtk, or .dat for surface positions"),
         (["surface_positions.dat"], "already exists"),
     ):

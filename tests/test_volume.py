@@ -190,10 +190,10 @@ def test_the_template_is_found_in_the_boundary_or_refused() -> None:
     finer = np.concatenate([vertices, vertices[:3] + np.array([0.01, 0, 0])])
     with pytest.raises(
         UserError,
-        match=r"its boundary lacks 3 of 28 vertices of the run's template, .*--design PATCH; there are xmin, xmax",
+        match=r"its boundary lacks 3 of the 28 vertices of the run's template, .*--design PATCH; there are xmin, xmax",
     ):
         found(mesh, finer)
-    with pytest.raises(UserError, match="its boundary lacks all vertices of the run's template"):
+    with pytest.raises(UserError, match="its boundary lacks all 25 vertices of the run's template"):
         found(mesh, vertices * 1000.0)
     with pytest.raises(UserError, match=r"If so, take the template from this mesh, or use --volume rbf"):
         found(dataclasses.replace(mesh, patches={}), finer)

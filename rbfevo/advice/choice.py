@@ -76,6 +76,8 @@ def reasons(trials: Sequence[Trial], choice: Choice) -> list[str]:
     else:
         share = f"{trial.gain / most.gain:.0%} of the largest gain of all setups tried, {most.gain:.3f}"
         found.append(f"{_setup(trial)} reach{_s(trial)} {share}, that of {_setup(most)}")
+    if trial.centers == max(other.centers for other in trials):
+        found.append(f"{trial.centers} is the most that was tried; more may gain more: centers={2 * trial.centers}")
     spread = [other for other in trials if math.isfinite(other.lloyd) and other[:3] == trial[:3]]
     if spread:
         found.append(

@@ -182,7 +182,7 @@ def _axes(points: Array, outer: Cells, chosen: Ints, name: str, tolerance: float
     if inclined:
         raise UserError(
             f"{inclined} of {len(chosen)} faces of the symmetry patch {name} are not in a plane across x, y or z, and "
-            "points cannot slide in others; turn the mesh and the run, or use --volume rbf"
+            "points can slide only in such planes; turn the mesh and the run, or use --volume rbf"
         )
     return extent.argmin(axis=1)
 
@@ -208,13 +208,18 @@ def _of_template(mesh: Mesh, boundary: Array, vertices: Array, mirror: Plane | N
     distance, nearest = KDTree(boundary).query(wanted, distance_upper_bound=tolerance)
     there = np.isfinite(distance)
     if not there.all() or not len(there):
-        missing = f"{int((~there).sum())} of {len(there)}" if there.any() else "all"
+        missing = f"{int((~there).sum())} of the {len(there)}" if there.any() else f"all {len(there)}"
         hint = "take the template from this mesh"  # which names no patches
         if mesh.patches:
             hint = f"name the patches of the design surface (--design PATCH; there are {shown(mesh.patches)})"
+        if "case" in mesh.notes:
+            hint = f"if the case has moved since the run, give --mesh an earlier time, such as CASE/0; if not, {hint}"
+        else:
+            hint = f"if so, {hint}"
+        hint = hint[0].upper() + hint[1:]
         raise UserError(
             f"its boundary lacks {missing} vertices of the run's template, so which of its points are the design "
-            f"surface is not known: is it in the place and unit of the run? If so, {hint}, or use --volume rbf"
+            f"surface is not known: is it in the place and unit of the run? {hint}, or use --volume rbf"
         )
     # Points that coincide move together.
     number = np.unique(boundary, axis=0, return_inverse=True)[1].reshape(-1)
