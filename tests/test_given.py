@@ -194,6 +194,19 @@ def test_symmetric_files_give_one_half_scored_as_a_plain_svd_scores_it(template:
     )
 
 
+def test_the_points_that_are_not_marked_as_images_are_the_centers(template: Path, tmp_path: Path) -> None:
+    cloud = pv.PolyData(np.concatenate([HALF, HALF[:3] * IMAGE]))
+    for name, marked in (("upper", [1, 1, 1, 0, 0, 0, 0, 0]), ("lower", [0, 0, 0, 0, 0, 1, 1, 1])):
+        cloud.point_data["mirrored"] = np.array(marked, np.uint8)
+        cloud.save(tmp_path / f"{name}.vtp")
+    out = tmp_path / "run"
+    assert main(on_egg(out, template, f"[{tmp_path / 'upper.vtp'},{tmp_path / 'lower.vtp'}]")) == 0
+    record = read(out)
+    np.testing.assert_array_equal(record.centers[0], np.concatenate([HALF[3:], HALF[:3] * IMAGE]))
+    np.testing.assert_array_equal(record.centers[1], HALF)
+    np.testing.assert_allclose(record.regularity[0], record.regularity[1], rtol=1e-9)
+
+
 def test_points_marked_as_images_are_points_of_their_own_without_symmetry(template: Path, tmp_path: Path) -> None:
     rows = np.concatenate([np.column_stack([HALF, np.zeros(5)]), np.column_stack([HALF[:3] * IMAGE, np.ones(3)])])
     file, out = table(tmp_path / "a.csv", rows, "x,y,z,mirrored"), tmp_path / "run"
@@ -321,11 +334,13 @@ def test_points_that_do_not_fit_a_design_in_space_are_one_line(
 ) -> None:
     lone, tilted = np.concatenate([HALF, HALF[:2] * IMAGE]), np.concatenate([HALF, HALF[:3] * IMAGE])
     tilted[3, 1] = 1e-8
+    twice = np.concatenate([HALF[:1], HALF[:1], HALF[:1] * IMAGE])
     many = np.random.default_rng(0).normal(size=(700, 3))
     cases = [
         (POINTS, "its points have two coordinates, x and y; scenario mesh has three dimensions: give x, y and z"),
         (lone, "it is not symmetric: 1 of 7 points (row 2) have no mirror image about y = 0 in it; give all images"),
         (tilted, "1 of 8 points (row 3) have no mirror image about y = 0 in it; give all images, or the points on one"),
+        (twice, "it is not symmetric: 1 of 3 points (row 1) have no mirror image about y = 0 in it"),
         (np.abs(many), "centers=700: scenario mesh has only 642 vertices; use fewer"),
     ]
     for points, message in cases:
@@ -377,7 +392,7 @@ def test_given_setups_stand_beside_a_searched_front_in_one_collection(
     found = {(line.split(",")[0], line.split(",")[names.index("centers")]) for line in lines[1:]}
     assert found == {("given/0", "4"), ("given/1", "3"), ("searched", "4")}
     page = (sweep / "report.html").read_text()
-    assert "placed by hand (given)" in page
+    assert "placed by hand" in page
     assert "front (nsga2)" in page
 
 

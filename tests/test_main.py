@@ -29,7 +29,7 @@ def no_figures(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) 
 MISTAKES = {
     "method.generatons=3": "method.nsga2",
     "method=nsga2 method.generatons=3": "did you mean method.generations?",
-    "method=nsga3": "choose one of cmaes, gradient, lloyd, nsga2, ols, panel, random",
+    "method=nsga3": "choose one of cmaes, given, gradient, lloyd, nsga2, ols, panel, random",
     "scenario=sphere": "choose one of face, mesh, plane",
     "kernel=gauss": "choose one of triharmonic, wendland",
     "manipulation=both": "choose one of direct, indirect",

@@ -50,5 +50,5 @@ def series(record: Record, method: str, preferred: bool) -> Series:
     if method == "ols":
         return Series("OLS", style.ORANGE, "D", 66, 6)
     if method == "given":
-        return Series("placed by hand (given)", style.RED, "s", 60, 6)
+        return Series("placed by hand", style.RED, "s", 60, 6)
     return Series(method, style.GREY, "s", 30, 5)
