@@ -1,6 +1,6 @@
 """The rule of `rbfevo.advise`: from gains to one kernel, support radius and number of centers, and the reasons.
 
-docs/advise.md has the rule in words. Plain numbers, no torch.
+docs/advise.md explains the rule. Plain numbers, no torch.
 """
 
 from __future__ import annotations

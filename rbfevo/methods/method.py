@@ -128,8 +128,12 @@ class Method(abc.ABC):
         """
 
     def bring(self, scenario: Scenario) -> tuple[int, dict[str, str]]:
-        """Of a method that brings its centers: how many a setup has on a scenario, and notes by title."""
-        raise NotImplementedError
+        """Of a method that brings its centers: how many a setup has on a scenario, and notes by title.
+
+        Raises:
+            UserError: if the method brings none.
+        """
+        raise UserError(f"method={self.name} brings no centers")
 
     @abc.abstractmethod
     def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:

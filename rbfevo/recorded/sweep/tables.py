@@ -79,7 +79,7 @@ class Group(NamedTuple):
 
     Attributes:
         settings: those of `ALWAYS` and those that vary in the sweep; varying: the keys of the latter.
-        vertices: of the mesh; setups: the largest number of setups a run has; potential: what was searched, in words.
+        vertices: of the mesh; setups: the largest number of setups a run has; potential: the name of what was searched.
         runs: names; seeds: how many different ones there are; spreads, values: of each
             of `QUANTITIES`, over the runs and of each run.
     """
