@@ -141,6 +141,19 @@ def _distance(a: list, b: list) -> Any:
     return mpmath.sqrt(sum((s - t) ** 2 for s, t in zip(a, b, strict=True)))
 
 
+def _within_reach(blocks: list[tuple[list[int], np.ndarray]], shape: tuple[int, ...], u: np.ndarray) -> np.ndarray:
+    """A basis [n, k, r] of what blocks of components and columns reach, orthonormal where rows count with u."""
+    (n, k), roots, pieces = shape, np.sqrt(u)[:, None], []
+    for components, U in blocks:
+        left, sigma, _ = np.linalg.svd(roots * U, full_matrices=False)
+        left = left[:, sigma > n * EPS * sigma[0]] / roots
+        for c in components:
+            wide = np.zeros((n, k, left.shape[1]))
+            wide[:, c] = left
+            pieces.append(wide)
+    return np.concatenate(pieces, axis=2)
+
+
 def certified_potential(
     blocks: list[tuple[list[int], np.ndarray]], gradient: np.ndarray, u: np.ndarray, p: float
 ) -> tuple[float, float]:
@@ -149,17 +162,8 @@ def certified_potential(
     Below: a.d / |d|_p of one d in the span, found by damped Newton steps for |d|_p^p / p - a.d. Above: |h|_p* of one h
     that gains what a does for every d in the span. Each holds however well d and h were found.
     """
-    a, (n, k) = u[:, None] * gradient, gradient.shape
-    a = a / np.abs(a).max()
-    pieces = []
-    for components, U in blocks:
-        left, sigma, _ = np.linalg.svd(np.sqrt(u)[:, None] * U, full_matrices=False)
-        left = left[:, sigma > n * EPS * sigma[0]] / np.sqrt(u)[:, None]
-        for c in components:
-            wide = np.zeros((n, k, left.shape[1]))
-            wide[:, c] = left
-            pieces.append(wide)
-    A = np.concatenate(pieces, axis=2)
+    a = u[:, None] * gradient
+    a, A = a / np.abs(a).max(), _within_reach(blocks, gradient.shape, u)
     b = np.einsum("nkr,nk->r", A, a)
     star = p / (p - 1)
 
@@ -196,16 +200,7 @@ def certified_potential(
 
 def scipy_potential(blocks: list[tuple[list[int], np.ndarray]], gradient: np.ndarray, u: np.ndarray, p: float) -> float:
     """P_p by its formula and SciPy's BFGS: blocks of components and their columns of U, g [n, k], u of sum 1."""
-    a, roots, (n, k) = u[:, None] * gradient, np.sqrt(u)[:, None], gradient.shape
-    pieces = []
-    for components, U in blocks:
-        left, sigma, _ = np.linalg.svd(roots * U, full_matrices=False)
-        left = left[:, sigma > n * EPS * sigma[0]] / roots
-        for c in components:
-            wide = np.zeros((n, k, left.shape[1]))
-            wide[:, c] = left
-            pieces.append(wide)
-    A = np.concatenate(pieces, axis=2)
+    a, A = u[:, None] * gradient, _within_reach(blocks, gradient.shape, u)
     b = np.einsum("nkr,nk->r", A, a)
 
     def loss(z: np.ndarray, q: float) -> tuple[float, np.ndarray]:
