@@ -213,6 +213,9 @@ def test_a_study_leaves_a_table_a_page_and_a_setup(advised: Path) -> None:
             two["nested"] for two in found.trials if (two["kernel"], two["support"]) == (one["kernel"], one["support"])
         ]
         assert others == sorted(others)
+    for one in found.trials:  # the start of a climb counts too
+        if one["optimized"] is not None:
+            assert one["optimized"] >= max(one["nested"], one["lloyd"]) - 1e-12
     page = (advised / "advice.html").read_text()
     assert f"<h1>{found.chosen['centers']} center" in page
     assert "http" not in page.split("<script>")[0]

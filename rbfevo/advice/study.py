@@ -133,7 +133,9 @@ class Study:
         if math.isnan(trial.lloyd):
             self._compare(found, m, "lloyd", spread)
         start = self.scenario.parameterization.settle(found.picked[:m])
-        self._compare(found, m, "optimized", self._climbed(found.kernel, (start, spread)))
+        climbed = self._climbed(found.kernel, (start, spread))
+        score = self._bounded(self.scored, found.kernel)  # a climb on the coarse design may lose on this one
+        self._compare(found, m, "optimized", max((climbed, start, spread), key=lambda setup: _gain(score, setup)))
 
     def refine(self, everything: Sequence[Found]) -> None:
         """Optimize further numbers, by bisection, until the smallest that gains enough is known.

@@ -9,11 +9,11 @@ import numpy as np
 from rbfevo import meshes
 from rbfevo.arrays import Array
 from rbfevo.geometry.triangles import doubled_area_vectors
+from rbfevo.meshes.constraints import SLIP_TYPES
 from rbfevo.meshes.surface import patch_points
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import Setup
 
-SLIDING = ("symmetryPlane", "symmetry", "empty")  # patches whose points move in their plane
 FAR = 0.01  # of the largest displacement of a center: what moves farther outside the box gets a warning
 
 
@@ -70,7 +70,7 @@ def _other_patches(record: Record, mesh: meshes.Mesh, length: Array) -> Iterator
     """How far patches that are neither of the design surface nor planes of symmetry are moved."""
     template, farthest = {tuple(point) for point in record.vertices.tolist()}, {}
     for name, kind in mesh.patch_types.items():
-        if kind in SLIDING or not len(mesh.patches[name]):
+        if kind in SLIP_TYPES or not len(mesh.patches[name]):
             continue
         points = patch_points(mesh, [name], "--mesh")
         others = [i for i in points.tolist() if tuple(mesh.points[i].tolist()) not in template]

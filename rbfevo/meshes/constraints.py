@@ -1,4 +1,4 @@
-"""Which points of a volume mesh move as a setup says, which are held, and which slide, while the inside follows.
+"""Which points of a volume mesh follow a setup, which are held, and which slide, while the inside is carried along.
 
 - *design*: the points of the design surface, those of some patches or those that are vertices of a run's template.
 - *slip*: boundary points in symmetry planes, which slide in them: their component across the plane is 0.
@@ -94,7 +94,7 @@ def constraints(
         faces: of its cells, by `solid_faces`.
         vertices: [v, 3] of the run's template; mirror: its symmetry plane; sides: the two of the slab of a planar run.
         design: patches of the design surface; without, it is the boundary points that are vertices of the template.
-        slip: patches that slide besides those whose type says so; where the mesh has no types, boundary faces in the
+        slip: patches that slide besides those of a sliding type; where the mesh has no types, boundary faces in the
             run's planes slide too.
 
     Raises:
@@ -131,7 +131,7 @@ def constraints(
 
 
 def slip_patches(mesh: Mesh, named: Sequence[str] = ()) -> list[str]:
-    """The patches that slide: those with faces whose type says so, and those that were named."""
+    """The patches that slide: those of a sliding type that have faces, and those that were named."""
     typed = [name for name, kind in mesh.patch_types.items() if kind in SLIP_TYPES and len(mesh.patches.get(name, ()))]
     return [*typed, *(name for name in dict.fromkeys(named) if name not in typed)]
 
