@@ -82,3 +82,18 @@ def settled(page: Page) -> None:
 def chosen(page: Page) -> int:
     """The row that is chosen."""
     return int(page.evaluate("() => rbfevo.state.chosen.row"))
+
+
+def hovered(page: Page, regularity: float, potential: float) -> tuple[float, float]:
+    """Put the mouse on a setup of the front until its label shows; return the place, pixels."""
+    page.evaluate("() => scrollTo(0, 0)")
+    place = page.evaluate(
+        "([R, P]) => { const plot = document.getElementById('front'), box = plot.getBoundingClientRect();"
+        " const full = plot._fullLayout;"
+        " return [box.x + full._size.l + full.xaxis.d2p(R), box.y + full._size.t + full.yaxis.d2p(P)]; }",
+        [regularity, potential],
+    )
+    page.mouse.move(place[0] - 2, place[1])
+    page.mouse.move(*place)
+    page.wait_for_selector(".hoverlayer .hovertext")
+    return place[0], place[1]

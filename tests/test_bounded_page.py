@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from browsers import chosen, opened, settled
+from browsers import chosen, hovered, opened, settled
 from test_mesh_runs import egg
 
 from rbfevo import collect
@@ -67,16 +67,7 @@ def test_axis_and_hover_name_the_bounded_potential(page: Page, record: Record) -
     assert len(labels) == len(record.usable)
     assert all("P_16 " in label and "· P " not in label for label in labels)
     row = int(np.argmax(record.potential))
-    page.evaluate("() => scrollTo(0, 0)")
-    place = page.evaluate(
-        "([R, P]) => { const plot = document.getElementById('front'), box = plot.getBoundingClientRect();"
-        " const full = plot._fullLayout;"
-        " return [box.x + full._size.l + full.xaxis.d2p(R), box.y + full._size.t + full.yaxis.d2p(P)]; }",
-        [record.regularity[row], record.potential[row]],
-    )
-    page.mouse.move(place[0] - 2, place[1])
-    page.mouse.move(*place)
-    page.wait_for_selector(".hoverlayer .hovertext")
+    hovered(page, record.regularity[row], record.potential[row])
     shown = text(page, ".hoverlayer")
     assert f"P_16 {float(f'{record.potential[row]:.4g}')}" in shown
     heads = page.locator("#setups thead th").all_text_contents()

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from browsers import WINDOW, chosen, opened, settled
+from browsers import WINDOW, chosen, hovered, opened, settled
 from PIL import Image
 from test_figures import change, write
 
@@ -248,16 +248,7 @@ def test_the_page_of_a_sweep_finds_the_front_itself(page, digits):
 def test_a_click_on_a_setup_shows_its_centers(page, run_of):
     record = read(run_of("sphere"))
     row = int(np.argmin(record.improvement_potential))  # far from all others
-    page.evaluate("() => scrollTo(0, 0)")
-    place = page.evaluate(
-        "([R, P]) => { const plot = document.getElementById('front'), box = plot.getBoundingClientRect();"
-        " const full = plot._fullLayout;"
-        " return [box.x + full._size.l + full.xaxis.d2p(R), box.y + full._size.t + full.yaxis.d2p(P)]; }",
-        [record.regularity[row], record.improvement_potential[row]],
-    )
-    page.mouse.move(place[0] - 2, place[1])
-    page.mouse.move(*place)
-    page.wait_for_selector(".hoverlayer .hovertext")
+    place = hovered(page, record.regularity[row], record.improvement_potential[row])
     assert f"row {row}, " in (page.text_content(".hoverlayer") or "")
     page.mouse.click(*place)
     wait_for_row(page, row)
