@@ -253,10 +253,10 @@ def test_the_commands_run_as_they_stand(advised: Path, capsys: pytest.CaptureFix
     from rbfevo.__main__ import main
 
     run, exported = read_advice(advised).commands
-    words = shlex.split(run)
-    assert words[:3] == ["python", "-m", "rbfevo"]
-    assert "manipulation=direct" in words
-    assert f"scenario.smooth={read_advice(advised).smooth:.4g}" in words
+    arguments = shlex.split(run)
+    assert arguments[:3] == ["python", "-m", "rbfevo"]
+    assert "manipulation=direct" in arguments
+    assert f"scenario.smooth={read_advice(advised).smooth:.4g}" in arguments
     small = [
         "method.generations=4",
         "method.starts=16",
@@ -265,10 +265,10 @@ def test_the_commands_run_as_they_stand(advised: Path, capsys: pytest.CaptureFix
         "figures=false",
         "quiet=true",
     ]
-    assert main([*words[3:], *small]) == 0
-    words = shlex.split(exported)
-    assert words[:3] == ["python", "-m", "rbfevo.export"]
-    assert export.main(words[3:]) == 0
+    assert main([*arguments[3:], *small]) == 0
+    arguments = shlex.split(exported)
+    assert arguments[:3] == ["python", "-m", "rbfevo.export"]
+    assert export.main(arguments[3:]) == 0
     summary = json.loads((advised / "run" / "summary.json").read_text())
     assert summary["criterion_norm"] == 16.0
     assert summary["centers"] == read_advice(advised).chosen["centers"]

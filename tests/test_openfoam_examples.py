@@ -47,9 +47,9 @@ DUCT, BODY = Case("duct", "bend", 0.6, 0.0025), Case("body", "body", 0.9, 0.01)
 
 
 def run(out: Path, case: Case, *arguments: str, step: float | None = None) -> Done:
-    words = [sys.executable, f"examples/openfoam/{case.name}.py", str(out), *arguments]
+    command = [sys.executable, f"examples/openfoam/{case.name}.py", str(out), *arguments]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     (directory,) = [path.name for path in out.iterdir() if path.name.startswith("step-")]
     if step is not None:
@@ -175,9 +175,9 @@ def test_the_whole_example(case: Case, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["duct", "body"])
 def test_without_openfoam_one_line_says_what_is_missing(name: str, tmp_path: Path) -> None:
-    words = [sys.executable, f"examples/openfoam/{name}.py", str(tmp_path / "out")]
+    command = [sys.executable, f"examples/openfoam/{name}.py", str(tmp_path / "out")]
     environment = os.environ | {"PATH": str(tmp_path)}
-    done = subprocess.run(words, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert line.startswith(f"{name}.py: OpenFOAM's blockMesh, ")
@@ -189,8 +189,8 @@ def test_without_openfoam_one_line_says_what_is_missing(name: str, tmp_path: Pat
 def test_a_directory_that_is_there_is_not_touched(tmp_path: Path) -> None:
     kept = tmp_path / "kept"
     kept.write_text("mine")
-    words = [sys.executable, "examples/openfoam/duct.py", str(tmp_path)]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    command = [sys.executable, "examples/openfoam/duct.py", str(tmp_path)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "exists already" in done.stderr
     assert list(tmp_path.iterdir()) == [kept]

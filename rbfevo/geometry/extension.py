@@ -86,9 +86,9 @@ def _solution(matrix: csr_array, right: Array, factorized: int, steps: int) -> A
     for column in range(right.shape[1]):
         found[:, column], failed = cg(scaled, right[:, column], rtol=RESIDUAL, maxiter=steps)
         if failed:
-            rest = np.linalg.norm(scaled @ found[:, column] - right[:, column]) / np.linalg.norm(right[:, column])
+            residual = np.linalg.norm(scaled @ found[:, column] - right[:, column]) / np.linalg.norm(right[:, column])
             raise UserError(
-                f"the Laplacian of {len(scale)} points did not converge in {steps} steps: the residual is {rest:.1e} "
+                f"the Laplacian of {len(scale)} points did not converge in {steps} steps: the residual is {residual:.1e} "
                 f"of the right-hand side, {RESIDUAL:.0e} is wanted; does the mesh have extremely short edges?"
             )
     return scale[:, None] * found

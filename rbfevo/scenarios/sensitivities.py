@@ -112,7 +112,7 @@ def descent(
         kinds.ask(given.names, scaled, areas, template.triangles, source)
     notes = {"sensitivity": _convention(source, values, kind, choices), "sensitivity rows": given.note}
     if given.beside is not None and values.ndim == 2:
-        notes["scalar sensitivity"] = signs.told_by(near_one(given.beside)[0], scaled, sides.outward)
+        notes["scalar sensitivity"] = signs.scalar_beside(near_one(given.beside)[0], scaled, sides.outward)
     return Descent(
         wanted(scaled, normals, areas, weights, kind, choices.objective),
         exponent,
@@ -130,10 +130,10 @@ def _known(source: str, choices: Choices, template: Template) -> tuple[Choices, 
     meaning = template.meanings.get(source)
     if meaning is None:
         return choices, False
-    for key, asked, said in (("kind", choices.kind, meaning.kind), ("normal", choices.normal, meaning.normal)):
-        if asked is not None and said is not None and asked != said:
+    for key, asked, stated in (("kind", choices.kind, meaning.kind), ("normal", choices.normal, meaning.normal)):
+        if asked is not None and stated is not None and asked != stated:
             raise UserError(
-                f"scenario.sensitivity_{key}={asked}: {source} is {said} ({meaning.note}); remove the setting"
+                f"scenario.sensitivity_{key}={asked}: {source} is {stated} ({meaning.note}); remove the setting"
             )
     filled = {"kind": choices.kind or meaning.kind, "normal": choices.normal or meaning.normal}
     return dataclasses.replace(choices, **filled), meaning.kind is not None

@@ -165,7 +165,7 @@ def refuse_either_sign(names: Iterable[str], source: str) -> None:
         )
 
 
-def told_by(scalar: Array, vectors: Points, outward: Points) -> str:
+def scalar_beside(scalar: Array, vectors: Points, outward: Points) -> str:
     """One line on SU2's scalar [n] beside vectors [n, 3]: along which normal it is their component."""
     along = (vectors * outward).sum(axis=1)
     length = float(np.linalg.norm(scalar) * np.linalg.norm(along))

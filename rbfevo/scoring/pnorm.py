@@ -177,9 +177,9 @@ class _Climb:
         slope = self.linear / gain - self.pulled(weight * d)  # of log(a.d / |d|_p)
         kept = torch.nonzero(steepness > faint * largest).flatten()
         stretch = (p - 2.0) * weight[kept] / squares[kept].clamp_min(torch.finfo(d.dtype).tiny)
-        rest = (p - 1.0) * faint * largest
+        shift = (p - 1.0) * faint * largest
         H = self._curvature(d[:, kept], kept, weight[kept], stretch)
-        H.diagonal().add_(rest)
+        H.diagonal().add_(shift)
         step = torch.cholesky_solve(slope[:, None], torch.linalg.cholesky(H))[:, 0]
         decrement = float(slope @ step)
         if not decrement > DONE:
