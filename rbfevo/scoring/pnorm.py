@@ -190,7 +190,7 @@ class _Climb:
         share = flattest(along, math.log(gain), decrement)
         bound = math.inf
         if bounded and decrement <= CLOSE:
-            forces = weight * d + rest * self.u * move
+            forces = weight * d + shift * self.u * move
             forces[:, kept] += weight[kept] * move[:, kept] + stretch * cross[kept] * d[:, kept]
             bound = gain * dual_norm(forces, self.u, p)
         return z + share * step, d + share * move, decrement, bound
