@@ -89,6 +89,6 @@ def _solution(matrix: csr_array, right: Array, factorized: int, steps: int) -> A
             residual = np.linalg.norm(scaled @ found[:, column] - right[:, column]) / np.linalg.norm(right[:, column])
             raise UserError(
                 f"the Laplacian of {len(scale)} points did not converge in {steps} steps: the residual is "
-                f"{residual:.1e} of the right-hand side, {RESIDUAL:.0e} is wanted; are edges of the mesh extremely short?"
+                f"{residual:.1e} of the right-hand side, {RESIDUAL:.0e} is wanted; are edges extremely short?"
             )
     return scale[:, None] * found
