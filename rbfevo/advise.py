@@ -135,6 +135,8 @@ def design_of(settings: Settings, given: set[str]) -> tuple[Scenario, float]:
     from rbfevo.advice.study import edge
     from rbfevo.runs.config import build
 
+    if settings.keep is not None:
+        raise UserError(f"keep={settings.keep}: recommendations are for setups without centers that stay; leave it out")
     if not settings.representation["_target_"].endswith(".rbf"):
         raise UserError("advise compares kernels and radii of RBFs; leave out representation=")
     scenario: Scenario = build(settings.scenario)

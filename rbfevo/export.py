@@ -174,6 +174,8 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
         "improvement_potential": np.array(chosen.improvement_potential),
         "row": np.array(chosen.row),
     }
+    if "kept" in record.summary:
+        arrays["kept"] = np.array(record.summary["kept"])  # how many of the first centers stayed
     direct = chosen.manipulation == "direct"
     if direct and singular:
         return arrays

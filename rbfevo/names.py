@@ -31,10 +31,12 @@ from omegaconf.errors import OmegaConfBaseException
 from rbfevo.errors import UserError
 
 DIRECTORIES = ("hydra.run.dir", "hydra.sweep.dir")
-LISTED = ("scenario.fixed", "scenario.hold", "method.centers")  # a name, a box, or a list of patches or of files
+STARTS = tuple(f"method.{part}start" for part in ("", "nsga2.", "cmaes."))
+# A name, a box, or a list of patches or of files:
+LISTED = ("scenario.fixed", "scenario.hold", "method.centers", *STARTS)
 FILES = ("template", "target", "scan")  # keys of a scenario that name a file
 MAYBE_FILES = (*FILES, "sensitivity", "fixed", "hold")  # the last three may also name an array of the template
-KEYS = (*DIRECTORIES, *(f"scenario.{name}" for name in MAYBE_FILES), "method.centers")
+KEYS = (*DIRECTORIES, *(f"scenario.{name}" for name in MAYBE_FILES), "keep", "method.centers", *STARTS)
 SWEEP = ("-m", "--multirun")
 MISSING = "???"  # what stands for a missing value, to OmegaConf
 

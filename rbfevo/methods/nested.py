@@ -47,6 +47,7 @@ def nested(
     candidates: Tensor,
     count: int,
     tried: int = TRIED,
+    kept: Tensor | None = None,
 ) -> Sequence:
     """Pick `count` of `candidates` [c, d] greedily, to maximize bounded potential.
 
@@ -56,6 +57,7 @@ def nested(
         assemble: makes setups of centers [*pop, m, d].
         candidates: [c, d], model units.
         tried: candidates solved exactly for each pick; all of them are those of the definition.
+        kept: [q, d] centers that are there already; none of them is returned.
 
     Raises:
         UserError: if fewer than `count` candidates move anything.
@@ -64,7 +66,11 @@ def nested(
     chosen: list[int] = []
     values: list[Tensor] = []
     k = bounded.a.shape[1]
+    there = candidates[:0] if kept is None else kept
     weights = bounded.a.new_zeros(0, k)
+    if len(there):
+        weights = bounded.optima(assemble(there[None]), None, gap=0.0).weights[0]
+        screen.move(there, weights)
     for t in range(count):
         promise = screen.promise()
         promise[chosen] = -torch.inf
@@ -75,27 +81,34 @@ def nested(
                 f"only {t} of the {len(candidates)} candidates move anything, for {count} centers: ask for fewer "
                 "centers or enlarge the support radius"
             )
-        before = candidates[torch.tensor(chosen, dtype=torch.long)].expand(len(rows), t, -1)
+        before = torch.cat((there, candidates[torch.tensor(chosen, dtype=torch.long)]))
+        before = before.expand(len(rows), len(there) + t, -1)
         setups = assemble(torch.cat((before, candidates[rows, None]), dim=1))
         known = torch.cat((weights, weights.new_zeros(1, k))).expand(len(rows), -1, -1)
-        start = torch.cat((setups.flatten(1), known.flatten(1)), dim=1) if t else None
+        start = torch.cat((setups.flatten(1), known.flatten(1)), dim=1) if t + len(there) else None
         found = bounded.optima(setups, start, gap=0.0)
         best = int((found.values >= found.values.max() - TIE).nonzero()[0])
         chosen.append(int(rows[best]))
         values.append(found.values[best])
         weights = found.weights[best]
-        screen.move(candidates[torch.tensor(chosen)], weights)
+        screen.move(torch.cat((there, candidates[torch.tensor(chosen)])), weights)
     indices = torch.tensor(chosen)
     return Sequence(candidates[indices], indices, torch.stack(values))
 
 
 def nested_of(
-    scenario: Scenario, representation: Representation, norm: float, count: int, per_axis: int = FEWER
+    scenario: Scenario,
+    representation: Representation,
+    norm: float,
+    count: int,
+    per_axis: int = FEWER,
+    kept: Tensor | None = None,
 ) -> Sequence:
     """The nested sequence of a design: on at most `VERTICES` weighted vertices, of half of a symmetric one.
 
     Args:
         scenario: the design; norm: p; count: centers; per_axis: candidates along each axis of the grid over the box.
+        kept: [q, d] centers that are there already, beside the `count` that are picked.
 
     Raises:
         UserError: if the representation does not consist of centers, or too few candidates move anything.
@@ -108,7 +121,7 @@ def nested_of(
         setups = representation.assemble(centers)
         return centers if setups is None else setups
 
-    return nested(bounded, columns, assemble, candidates_of(scenario, per_axis), count)
+    return nested(bounded, columns, assemble, candidates_of(scenario, per_axis), count, kept=kept)
 
 
 class _Screen:

@@ -50,6 +50,7 @@ def ols(
     vanish: float = 1e-12,
     memory: float = 1.25e9,
     block: int = 32,
+    kept: Tensor | None = None,
 ) -> Selection:
     """Pick `count` of `candidates` [c, d] greedily, to maximize the improvement potential P of indirect manipulation.
 
@@ -68,6 +69,7 @@ def ols(
         vanish: see above.
         memory: bytes for columns kept in single precision; those that do not fit are computed at every pick.
         block: number of candidates computed at a time.
+        kept: [q, d] centers that are there already: gains are those beside them, and none of them is picked.
 
     Raises:
         UserError: if `count` is below 1, g is zero or not finite, or fewer than `count` candidates can be used.
@@ -83,20 +85,25 @@ def ols(
         raise UserError("OLS needs an estimated fitness gradient that is finite and not zero everywhere")
 
     screen = _Screen(columns, candidates, root, residual / length, memory, block)
-    basis = residual.new_empty(count, len(residual)).T
+    before = residual.new_empty(len(residual), 0) if kept is None else screen.basis_of(kept, vanish)
+    basis = residual.new_empty(before.shape[1] + count, len(residual)).T
+    basis[:, : before.shape[1]] = before
+    for q in before.T:
+        screen.advance(q.contiguous())
     indices: list[int] = []
     gains: list[Tensor] = []
-    for t in range(count):
+    for t in range(before.shape[1], basis.shape[1]):
         winner, gain = screen.best(basis[:, :t], tolerance, vanish)
         if winner < 0:
             raise UserError(
-                f"only {t} of the {len(candidates)} OLS candidates have kernel columns independent of each other, for "
-                f"{count} centers: ask for fewer centers, refine the candidate grid or enlarge the support radius"
+                f"only {len(indices)} of the {len(candidates)} OLS candidates have kernel columns independent of each "
+                f"other, for {count} centers: ask for fewer centers, refine the candidate grid or enlarge the support "
+                "radius"
             )
         indices.append(winner)
         gains.append(gain)
         basis[:, t] = screen.pick(winner, basis[:, :t])
-        if t + 1 < count:
+        if t + 1 < basis.shape[1]:
             screen.advance(basis[:, t])
     chosen = torch.tensor(indices, device=candidates.device)
     return Selection(candidates[chosen], chosen, torch.stack(gains))
@@ -240,6 +247,21 @@ class _Screen:
         self.moment[indices] = moment
         self.doubt[indices] = 2.0 * self.rounding
 
+    def basis_of(self, centers: Tensor, vanish: float) -> Tensor:
+        """An orthonormal basis [n, r] of the columns of centers [q, d], without those that depend on earlier ones."""
+        rows = self.columns(centers).detach().T
+        rows = rows if self.root is None else rows * self.root
+        basis = rows.new_empty(0, rows.shape[1])
+        for row in rows:
+            length = torch.linalg.vector_norm(row)
+            w = row / torch.where(length > 0, length, 1.0)
+            for _ in range(2):
+                w = w - basis.T @ (basis @ w)
+            square = w.square().sum()
+            if bool(square.isfinite() & (square >= vanish)):
+                basis = torch.cat((basis, (w / square.sqrt())[None]))
+        return basis.T
+
     def pick(self, winner: int, Q: Tensor) -> Tensor:
         """Take `winner` out and return the unit vector q [n] that it adds to Q."""
         self.usable[winner] = False
@@ -284,9 +306,8 @@ class OlsHeuristic(Heuristic):
         """[1, m, d]."""
         if problem.norm != 2.0:
             per_axis = min(self.per_axis, FEWER)
-            centers = nested_of(
-                problem.scenario, problem.representation, problem.norm, problem.centers, per_axis
-            ).centers
+            searched = (problem.scenario, problem.representation, problem.norm)
+            centers = nested_of(*searched, problem.free, per_axis, problem.kept_on_one_side).centers
             return problem.assembled(self.name, centers)[None]
         design = problem.scenario.half()
         atoms, blend = atoms_of(problem.representation, design), design.blend
@@ -294,7 +315,8 @@ class OlsHeuristic(Heuristic):
             atoms if blend is None else lambda candidates: blend[:, None] * atoms(candidates),
             candidates_of(problem.scenario, self.per_axis),
             design.gradient,
-            problem.centers,
+            problem.free,
             weights=design.weights,
+            kept=problem.kept_on_one_side,
         ).centers
         return problem.assembled(self.name, centers)[None]

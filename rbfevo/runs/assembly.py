@@ -7,12 +7,14 @@ import functools
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from rbfevo import methods
 from rbfevo.errors import UserError
 from rbfevo.methods.method import Method, Problem, Rows, no_preference, random_stream
 from rbfevo.runs.config import OWN_CENTERS, Settings, build
 from rbfevo.runs.identity import stages_of
+from rbfevo.scenarios.beginnings import read_kept, read_starts
 from rbfevo.scenarios.coarse import coarsened, matched
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.bounded import BoundedPotential
@@ -20,7 +22,7 @@ from rbfevo.scoring.bounded_evaluator import BoundedEvaluator
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.evolvability import Scores
 from rbfevo.scoring.kernels import Kernel
-from rbfevo.scoring.representations import Representation
+from rbfevo.scoring.representations import Representation, Space, keeping
 from rbfevo.scoring.symmetric import evaluator_of
 
 # Up to this many numbers in U the rows of a result are scored by the definition, above by the blocked evaluator.
@@ -52,6 +54,7 @@ class Parts:
         method = build(settings.method)
         self.stages = stages_of(method)
         self.settings = settings = self._counted(settings)
+        self.kept = self._kept(settings)
         n, d = self.scenario.vertices.shape
         if settings.centers > n:
             raise UserError(
@@ -61,7 +64,7 @@ class Parts:
         self.representation: Representation = build(
             settings.representation, self.scenario, self.kernel, settings.centers
         )
-        self.space = self.representation.space(self.scenario, settings.centers)
+        self.space = self._space()
         self._refuse_too_few_vertices(method)
         self.name: str = method.name
         for stage in self.stages:
@@ -88,6 +91,42 @@ class Parts:
             settings = dataclasses.replace(settings, centers=count)
             self.scenario = dataclasses.replace(self.scenario, notes={**self.scenario.notes, **notes})
         return settings
+
+    def _kept(self, settings: Settings) -> Tensor:
+        """The centers [k, d] that every setup begins with; they and the starts of searches are read here.
+
+        Raises:
+            UserError: if a file cannot be used, or the method brings all centers itself.
+        """
+        kept, scenario = self.scenario.vertices.new_empty(0, self.scenario.vertices.shape[1]), self.scenario
+        notes: dict[str, str] = {}
+        if settings.keep is not None:
+            for stage in (stage for stage in self.stages if stage.brings):
+                raise UserError(f"keep={settings.keep}: method={stage.name} brings all centers itself; leave it out")
+            kept, notes = read_kept(settings.keep, scenario, settings.centers)
+            if scenario.mirror is not None:  # of an odd number of centers one is on the plane
+                pinned = settings.centers % 2 == 1 and not bool(scenario.mirror.on_plane(kept).any())
+                scenario = dataclasses.replace(scenario, pinned=pinned)
+        for stage in (stage for stage in self.stages if stage.begins):
+            stage.inputs, found = read_starts(stage.begins, scenario, kept, settings.centers)
+            notes |= found
+        self.scenario = dataclasses.replace(scenario, notes={**scenario.notes, **notes})
+        return kept
+
+    def _space(self) -> Space:
+        """Where setups are searched, beside the centers that stay.
+
+        Raises:
+            UserError: if there are such centers, or starts, and the representation does not consist of centers.
+        """
+        asked = [stage.inputs for stage in self.stages if stage.begins and stage.inputs is not None]
+        if len(self.kept) or asked:
+            setup = self.kept if len(self.kept) else asked[0][0]
+            if self.representation.assemble(setup) is None:
+                key = "keep" if len(self.kept) else "method.start"
+                raise UserError(f"{key} is for centers, and representation={self.representation.name} has none")
+        space = self.representation.space(self.scenario, self.settings.centers - len(self.kept))
+        return keeping(self.kept, space) if len(self.kept) else space
 
     def _chosen_backend(self) -> str:
         n = len(self.scenario.vertices)
@@ -174,6 +213,7 @@ class Parts:
             spectrum=evaluator.spectrum,
             coarsened=fewer_vertices,
             norm=self.norm,
+            kept=self.kept,
         )
         return problem
 

@@ -55,6 +55,8 @@ def identity(settings: Settings, whole: bool = False) -> str:
         del plain[free]
     if plain["criterion_norm"] == 2.0:  # checkpoints from before there were others
         del plain["criterion_norm"]
+    if plain["keep"] is None:  # checkpoints from before there was the key
+        del plain["keep"]
     if plain["representation"] == RBF:  # checkpoints from before there were others
         del plain["representation"]
     before = {now: then for then, now in MOVED.items()}
@@ -62,13 +64,21 @@ def identity(settings: Settings, whole: bool = False) -> str:
         **plain["kernel"],
         "_target_": before.get(plain["kernel"]["_target_"], plain["kernel"]["_target_"]),
     }
-    return digest(plain if whole else {**plain, "method": _without_generations(plain["method"])})
+    method = _without_starts(plain["method"])
+    return digest({**plain, "method": method if whole else _without_generations(method)})
 
 
 def _without_generations(node: Any) -> Any:
     if not isinstance(node, dict):
         return node
     return {key: _without_generations(value) for key, value in node.items() if key != "generations"}
+
+
+def _without_starts(node: Any) -> Any:
+    """The settings of a method without starts where there are none, as in checkpoints from before there was the key."""
+    if not isinstance(node, dict):
+        return node
+    return {key: _without_starts(value) for key, value in node.items() if (key, value) != ("start", None)}
 
 
 def stages_of(method: Any) -> list[Method]:

@@ -163,6 +163,7 @@ class Run(Parts):
     def _inputs(self) -> str | None:
         """A hash of what methods have read from files; None where they read none."""
         found = [stage.inputs for stage in self.stages if stage.inputs is not None]
+        found += [self.kept] if len(self.kept) else []
         return digest(*found) if found else None
 
     def _refuse_others(self, saved: dict[str, Any]) -> None:
@@ -174,7 +175,8 @@ class Run(Parts):
             )
         if saved.get("inputs") != self._inputs:
             raise UserError(
-                "the centers in the files of method.centers have changed since the run started; start a new run"
+                "the centers in the files of keep, method.start or method.centers have changed since the run started; "
+                "start a new run"
             )
         index, step = int(saved["stage"]), int(saved["step"])
         for place, (stage, steps) in enumerate(zip(self.stages, saved["steps"], strict=True)):

@@ -29,6 +29,7 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
         "manipulation": run.settings.manipulation,
         "method": run.name,
         "centers": run.settings.centers,
+        **({"kept": len(run.kept)} if len(run.kept) else {}),
         "seed": run.settings.seed,
         "device": describe(run.device),
         "versions": versions(),

@@ -57,6 +57,7 @@ class Scenario:
             gradient_norm; None where it was not smoothed, and on coarse designs.
         planar: the mid-plane of a planar design, which is a slab one cell thick or a curve, or None. Centers sit in it,
             and g has no component along its axis.
+        pinned: whether searches put the last center on the plane of symmetry; None: where their number is odd.
     """
 
     name: str
@@ -85,6 +86,7 @@ class Scenario:
     smooth: float | None = None
     gradient_raw: Tensor | None = None
     planar: Plane | None = None
+    pinned: bool | None = None
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
@@ -129,7 +131,7 @@ class Scenario:
     @property
     def parameterization(self) -> Parameterization:
         """The map from points in the box to setups."""
-        return Parameterization(self.mirror, self.side, self.keep_out, self.planar)
+        return Parameterization(self.mirror, self.side, self.keep_out, self.planar, self.pinned)
 
     def half(self, open_only: bool = False) -> Scenario:
         """The design on the centers' side of the mirror, plane included; the whole one where there is no mirror.
