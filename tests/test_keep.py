@@ -12,7 +12,7 @@ import torch
 
 from rbfevo import advise
 from rbfevo.__main__ import main
-from rbfevo.methods.lloyd import inertia, lloyd
+from rbfevo.methods.lloyd import _seed, inertia, lloyd
 from rbfevo.methods.nested import nested
 from rbfevo.methods.ols import ols
 from rbfevo.recorded.record import read
@@ -158,6 +158,9 @@ def test_the_nested_sequence_goes_on_beside_kept_centers() -> None:
     rest = nested(*arguments, 3, kept=whole.centers[:2])
     torch.testing.assert_close(rest.centers, whole.centers[2:], rtol=0, atol=0)
     torch.testing.assert_close(rest.potential, whole.potential[2:], rtol=1e-7, atol=1e-9)
+    # What candidates promise is also measured beside the kept centers: the most promising alone are the same.
+    whole = nested(*arguments, 4, tried=1)
+    torch.testing.assert_close(nested(*arguments, 2, tried=1, kept=whole.centers[:2]).centers, whole.centers[2:])
 
 
 def test_lloyd_places_centroids_beside_centers_that_do_not_move() -> None:
@@ -174,6 +177,26 @@ def test_lloyd_places_centroids_beside_centers_that_do_not_move() -> None:
     alone = lloyd(X, 4, generator=torch.Generator().manual_seed(1), weights=weights)
     both = [inertia(X, torch.cat((centers, kept)), weights) for centers in (found, alone)]
     assert float(both[0]) < float(both[1])
+
+
+def test_lloyd_is_seeded_away_from_centers_that_do_not_move() -> None:
+    near, far = grid() * 0.01, grid() * 0.01 + 5.0
+    X = torch.cat((near, far))
+    masses = torch.ones(len(X), dtype=torch.float64)
+    seeds = _seed(X, masses, 1, 50, torch.Generator().manual_seed(1), torch.tensor([[5.0, 5.0]], dtype=torch.float64))
+    assert bool((seeds < 1.0).all())
+
+
+@pytest.mark.parametrize("method", ["lloyd", "ols"])
+def test_heuristics_see_kept_centers_of_the_other_side_as_their_images(
+    method: str, template: Path, tmp_path: Path
+) -> None:
+    added = []
+    for name, kept in (("a", ONE_SIDE), ("b", ONE_SIDE * [1, -1, 1])):
+        file, out = table(tmp_path / f"{name}.csv", kept, "x,y,z"), tmp_path / name
+        assert main(on_egg(out, template, None, *overrides(method), f"keep={file}", "centers=6")) == 0
+        added.append(read(out).centers[-1, 3:])
+    np.testing.assert_allclose(added[0], added[1], atol=1e-12)
 
 
 @pytest.mark.parametrize("symmetric", [False, True])
