@@ -183,8 +183,8 @@ def test_lloyd_is_seeded_away_from_centers_that_do_not_move() -> None:
     near, far = grid() * 0.01, grid() * 0.01 + 5.0
     X = torch.cat((near, far))
     masses = torch.ones(len(X), dtype=torch.float64)
-    seeds = _seed(X, masses, 1, 50, torch.Generator().manual_seed(1), torch.tensor([[5.0, 5.0]], dtype=torch.float64))
-    assert bool((seeds < 1.0).all())
+    seeds = _seed(X, masses, 1, 50, torch.Generator().manual_seed(1), torch.tensor([[0.0, 0.0]], dtype=torch.float64))
+    assert bool((seeds > 1.0).all())
 
 
 @pytest.mark.parametrize("method", ["lloyd", "ols"])
