@@ -93,7 +93,7 @@ class Problem:
         if mirror is None or not len(self.kept):
             return self.kept if len(self.kept) else None
         other = self.scenario.side * (self.kept[:, mirror.axis] - mirror.at) < 0
-        return self.kept
+        return torch.where(other[:, None], mirror.image(self.kept), self.kept)
 
     @property
     def flat_box(self) -> tuple[Tensor, Tensor]:
