@@ -33,10 +33,18 @@ from rbfevo.errors import UserError
 DIRECTORIES = ("hydra.run.dir", "hydra.sweep.dir")
 STARTS = tuple(f"method.{part}start" for part in ("", "nsga2.", "cmaes."))
 # A name, a box, or a list of patches or of files:
-LISTED = ("scenario.fixed", "scenario.hold", "method.centers", *STARTS)
+LISTED = ("scenario.fixed", "scenario.hold", "scenario.inside", "scenario.outside", "method.centers", *STARTS)
 FILES = ("template", "target", "scan")  # keys of a scenario that name a file
 MAYBE_FILES = (*FILES, "sensitivity", "fixed", "hold")  # the last three may also name an array of the template
-KEYS = (*DIRECTORIES, *(f"scenario.{name}" for name in MAYBE_FILES), "keep", "method.centers", *STARTS)
+KEYS = (
+    *DIRECTORIES,
+    *(f"scenario.{name}" for name in MAYBE_FILES),
+    "scenario.inside",
+    "scenario.outside",
+    "keep",
+    "method.centers",
+    *STARTS,
+)
 SWEEP = ("-m", "--multirun")
 MISSING = "???"  # what stands for a missing value, to OmegaConf
 

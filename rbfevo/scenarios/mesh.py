@@ -13,7 +13,7 @@ from rbfevo.geometry import topology
 from rbfevo.geometry.correspondence import Points
 from rbfevo.geometry.lengths import length
 from rbfevo.geometry.pairing import REJECTIONS
-from rbfevo.scenarios import boundaries, fixing, sensitivities, signs, smoothing
+from rbfevo.scenarios import boundaries, fixing, packaging, sensitivities, signs, smoothing
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.design import Design
 from rbfevo.scenarios.planar import Planar
@@ -40,6 +40,8 @@ def mesh(
     hold: Any = None,
     hold_width: Any = "5%",
     keep_out: bool | None = None,
+    inside: Any = None,
+    outside: Any = None,
     weights: str = "uniform",
     smooth: Any = None,
     symmetry: str | None = None,
@@ -72,6 +74,7 @@ def mesh(
             rows of g are 0.
         hold_width: where the blend reaches 1: model units, or a percentage of the box's diagonal.
         keep_out: whether centers may not sit among the fixed and held vertices; None: only with `hold`.
+        inside, outside: boxes and closed surfaces in which centers sit, or do not, as `packaging.packaging` takes them.
         weights: `uniform`, each vertex counts the same (the paper), or `area`.
         smooth: length over which g is smoothed, model units or a percentage of the box's diagonal; None leaves it.
         symmetry: x, y or z: setups stay symmetric about the plane across that axis, at `symmetry_at` or, where that is
@@ -128,6 +131,9 @@ def mesh(
     notes |= more
     still = fixing.fixing(fixed, hold, hold_width, keep_out, read, (lower, upper), mirror, flat)
     stays, notes = stays | still.stays, notes | still.notes
+    of_design = (lower, upper), mirror, None if flat is None else flat.plane
+    packed, more = packaging.packaging(inside, outside, *of_design, still.region)
+    region, notes = packed or still.region, notes | more
     stays = stays if flat is None else flat.either(stays)
     wanted = np.where(stays[:, None], 0.0, wanted)
     if not wanted.any():
@@ -164,7 +170,7 @@ def mesh(
         lower=lower,
         upper=upper,
         support=_support(support, lower, upper, flat),
-        sample=design.sampler(still.region),
+        sample=design.sampler(still.region) if packed is None else packed.sampler(design.sampler),
         gradient_norm=norm,
         notes=notes,
         warnings=warnings,
@@ -172,7 +178,7 @@ def mesh(
         stays=torch.from_numpy(stays),
         direction_only=pairing is None,
         mirror=mirror,
-        keep_out=still.region,
+        keep_out=region,
         search_vertices=search_vertices,
         up=up,
         rows=torch.from_numpy(read.rows),
