@@ -255,6 +255,7 @@ def closing(
         f"{rule if move.direction else 'best approximation'}: a vertex moves by at most {reached:.4g}"
         + (f" ({size})" if size else f" (wanted: at most {wanted:.4g})"),
         *([] if move.change is None else [f"predicted change of the objective: {move.change:+.4g} (to first order)"]),
+        *_limits(record, move),
         *_fixed(record, move),
         f"files: {out}: {', '.join(name for name in FILES if name in written or name.endswith('.vtp'))}",
     ]
@@ -267,6 +268,14 @@ def closing(
     arguments = [str(options.run), "--pick", options.pick.strip(), f"--{what}", str(out / f"{what}.csv")]
     arguments += ["--mesh", str(out / "template.vtp"), "--out", str(out / "deformed.vtp")]
     return [*lines, f"next: python -m rbfevo.apply {shlex.join(arguments)}"]
+
+
+def _limits(record: Record, move: Move) -> list[str]:
+    """How many vertices are at the largest displacement that the run allows them, where that limits the move."""
+    if not move.limited:
+        return []
+    what = "the step is shorter than --step" if move.direction else "the best approximation is scaled down"
+    return [f"scenario.max_displacement: {what}, since {move.limited} vertices move by as much as they may"]
 
 
 def _fixed(record: Record, move: Move) -> list[str]:

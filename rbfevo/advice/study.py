@@ -101,7 +101,7 @@ class Study:
 
     def _bounded(self, design: Scenario, kernel: Kernel) -> BoundedPotential:
         given = design.vertices, design.gradient, kernel, self.norm
-        return BoundedPotential(*given, design.weights, design.blend, design.mirror)
+        return BoundedPotential(*given, design.weights, design.blend, design.mirror, design.max_displacement)
 
     def found(self, kernel: Kernel) -> Found:
         """Nested and Lloyd's setups of all numbers of centers, of one kernel, which has the support radius."""

@@ -115,7 +115,8 @@ def nested_of(
     """
     design = coarsened(scenario.half(), VERTICES)
     columns = atoms_of(representation, design)
-    bounded = BoundedPotential(design.vertices, design.gradient, representation, norm, design.weights, design.blend)
+    given = (design.vertices, design.gradient, representation, norm, design.weights, design.blend)
+    bounded = BoundedPotential(*given, most=design.max_displacement)
 
     def assemble(centers: Tensor) -> Tensor:
         setups = representation.assemble(centers)

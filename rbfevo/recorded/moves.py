@@ -26,6 +26,7 @@ class Move(NamedTuple):
         direction: whether only the direction was given, so that the size is that of `--step`.
         change: the predicted change of the objective, in its unit, to first order; None of a target, or where the size
             of the sensitivity is not known.
+        limited: vertices that move by their largest displacement (to 1 %), where that is what limits the move; else 0.
     """
 
     wanted: Array
@@ -34,6 +35,7 @@ class Move(NamedTuple):
     centers: Array
     direction: bool
     change: float | None = None
+    limited: int = 0
 
 
 def wanted_move(record: Record, chosen: Setup, step: float, rule: str = RULES[0]) -> Move:
@@ -54,20 +56,51 @@ def wanted_move(record: Record, chosen: Setup, step: float, rule: str = RULES[0]
     if record.summary.get("gradient_is") != "direction" and record.gradient_norm is not None:
         weights = chosen.best(record)
         wanted, reached = record.gradient * record.gradient_norm, chosen.displacement(record.vertices, weights)
-        return Move(wanted, reached, weights, _of_centers(chosen, weights), False)
-    weights = _stepped(record, chosen, rule)
+        factor = min(1.0, within_bounds(record, reached))
+        reached, weights = factor * reached, factor * weights
+        limited = at_bounds(record, reached) if factor < 1.0 else 0
+        return Move(wanted, reached, weights, _of_centers(chosen, weights), False, limited=limited)
+    size = step * float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
+    weights = _stepped(record, chosen, rule, size)
     wanted, reached = record.gradient, chosen.displacement(record.vertices, weights)
     farthest = float(np.linalg.norm(reached, axis=1).max())
     gains = float((record.weights[:, None] * record.gradient * reached).sum())
     if not gains > 1e-18 * float(np.linalg.norm(record.weights[:, None] * record.gradient)) * farthest:
         weights, reached, farthest = 0.0 * weights, 0.0 * reached, 0.0
-    size = step * float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
-    factor = size / (farthest or 1.0)
+    free, factor = size / (farthest or 1.0), within_bounds(record, reached)
+    factor = min(free, factor)
     reached, weights = factor * reached, factor * weights
+    limited = at_bounds(record, reached) if factor < free else 0
     # Of this size, what is left of the wanted displacement is orthogonal to what is reached.
     matching = float((record.weights[:, None] * reached**2).sum()) / (factor * gains) if farthest else 0.0
     wanted = wanted * (matching or size / float(np.linalg.norm(wanted, axis=1).max()))
-    return Move(wanted, reached, weights, _of_centers(chosen, weights), True, predicted_change(record, reached))
+    return Move(
+        wanted, reached, weights, _of_centers(chosen, weights), True, predicted_change(record, reached), limited
+    )
+
+
+def within_bounds(record: Record, displacement: Array) -> float:
+    """The largest factor by which a displacement [n, k] keeps the largest displacements of a run; inf without any."""
+    if record.max_displacement is None:
+        return np.inf
+    lengths = np.linalg.norm(displacement, axis=1)
+    moving = lengths > 0.0
+    return float((record.max_displacement[moving] / lengths[moving]).min(initial=np.inf)) * (1.0 - EPS)
+
+
+def at_bounds(record: Record, displacement: Array) -> int:
+    """How many vertices move by at least 99 % of their largest displacement."""
+    if record.max_displacement is None:
+        return 0
+    return int((np.linalg.norm(displacement, axis=1) >= 0.99 * record.max_displacement).sum())
+
+
+def _shares(record: Record, size: float) -> Array:
+    """[n] how far each vertex may move in a step of that size, over the largest of all."""
+    if record.max_displacement is None:
+        return np.ones(len(record.vertices))
+    most = np.minimum(record.max_displacement, size)
+    return most / most.max()
 
 
 def predicted_change(record: Record, displacement: Array) -> float | None:
@@ -93,30 +126,30 @@ def _of_centers(chosen: Setup, weights: Array) -> Array:
     return centers
 
 
-def _stepped(record: Record, chosen: Setup, rule: str) -> Array:
-    """The weights [m, k] of a step by a rule, of any size."""
+def _stepped(record: Record, chosen: Setup, rule: str, size: float) -> Array:
+    """The weights [m, k] of a step by a rule, of any size; `size` is that of the largest displacement in the end."""
     found = {"max-norm": _max_norm, "natural": _natural, "steepest": _steepest}.get(rule)
     if found is None:
         raise UserError(f"--rule {rule}: choose one of {', '.join(RULES)}")
-    return found(record, chosen, record.weights[:, None] * record.gradient)
+    return found(record, chosen, record.weights[:, None] * record.gradient, size)
 
 
-def _max_norm(record: Record, chosen: Setup, rising: Array) -> Array:
+def _max_norm(record: Record, chosen: Setup, rising: Array, size: float) -> Array:
     """The weights [m, k] of the rule `max-norm`; `rising` [n, k] is -s but for its size."""
     weights, blocks, backs = np.zeros((chosen.count, rising.shape[1])), [], []
-    parts = list(_columns(record, chosen))
+    parts, share = list(_columns(record, chosen)), _shares(record, size)
     for components, _, U in parts:
-        left, values, right = np.linalg.svd(U, full_matrices=False)
+        left, values, right = np.linalg.svd(U / share[:, None], full_matrices=False)
         kept = values > max(U.shape) * EPS * values[0]
         blocks.append(Block(components, left[:, kept]))
         backs.append(right[kept].T / values[kept])
-    found = best_displacement(blocks, rising, _areas(record), NORM)
+    found = best_displacement(blocks, share[:, None] * rising, _areas(record), NORM)
     for (components, columns, _), back, coordinates in zip(parts, backs, found.coordinates, strict=True):
         weights[np.ix_(columns, components)] = back @ coordinates
     return weights
 
 
-def _natural(record: Record, chosen: Setup, rising: Array) -> Array:
+def _natural(record: Record, chosen: Setup, rising: Array, _size: float) -> Array:
     """The weights [m, k] of the rule `natural`."""
     weights, area, stiffness = np.zeros((chosen.count, rising.shape[1])), _areas(record), None
     length = record.summary.get("smooth")
@@ -133,7 +166,7 @@ def _natural(record: Record, chosen: Setup, rising: Array) -> Array:
     return weights
 
 
-def _steepest(record: Record, chosen: Setup, rising: Array) -> Array:
+def _steepest(record: Record, chosen: Setup, rising: Array, _size: float) -> Array:
     """The weights [m, k] of the rule `steepest`."""
     weights = np.zeros((chosen.count, rising.shape[1]))
     for components, columns, U in _columns(record, chosen):

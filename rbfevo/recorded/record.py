@@ -37,6 +37,7 @@ class Record:
         blend: [n] what rows of U are multiplied by, 0 where a vertex is held, and the held points [h, d]; None without.
         genotype: [p, D] setups of another representation than RBFs, whose `centers` are where control points sit.
         gradient_raw: [n, k] the gradient before smoothing, in the scale of `gradient`; None without smoothing.
+        max_displacement: [n] how far each vertex may move at most, model units; None without bounds.
         label: [p] names of setups that have one, such as the files of `method=given`, else empty; None where none has.
         bounded_potential: [p] P_p where `criterion.norm` is not 2; then it is what was searched; else None.
     """
@@ -62,6 +63,7 @@ class Record:
     gradient_raw: Array | None = None
     bounded_potential: Array | None = None
     label: Array | None = None
+    max_displacement: Array | None = None
 
     def origin(self, row: int) -> str:
         """The method of a row, with the name of its setup where it has one."""
@@ -140,7 +142,7 @@ def read(run: Path) -> Record:
     if not run.is_dir():
         raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
     setups = _arrays(run / "setups.npz", SETUPS, ("variability", "genotype", "bounded_potential", "label"))
-    scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays", "blend", "held", "gradient_raw"))
+    scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays", "blend", "held", "gradient_raw", "max_displacement"))
     stays = scenario.pop("stays", None)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
     p, n = len(setups["regularity"]), len(scenario["vertices"])
@@ -152,6 +154,7 @@ def read(run: Path) -> Record:
         and all(len(scenario[key]) == n for key in ("gradient", "weights"))
         and (stays is None or stays.shape == (n,))
         and ("blend" not in scenario or scenario["blend"].shape == (n,))
+        and ("max_displacement" not in scenario or scenario["max_displacement"].shape == (n,))
         and ("blend" in scenario) == ("held" in scenario)
         and scenario.get("gradient_raw", scenario["gradient"]).shape == scenario["gradient"].shape
         and isinstance(summary, dict)

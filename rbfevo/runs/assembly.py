@@ -150,7 +150,8 @@ class Parts:
 
     def _bounded(self, scenario: Scenario) -> BoundedPotential:
         design = (scenario.vertices, scenario.gradient, self.representation, self.norm)
-        return BoundedPotential(*design, scenario.weights, scenario.blend, scenario.mirror)
+        most = scenario.max_displacement
+        return BoundedPotential(*design, scenario.weights, scenario.blend, scenario.mirror, most)
 
     @property
     def norm(self) -> float:

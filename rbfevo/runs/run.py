@@ -157,7 +157,8 @@ class Run(Parts):
     def _design(self) -> str:
         """A hash of what is scored, bit for bit."""
         parts = (self.scenario.vertices, self.scenario.gradient, self.scenario.weights)
-        return digest(*parts, *([] if self.scenario.blend is None else [self.scenario.blend]))
+        more = (self.scenario.blend, self.scenario.max_displacement)
+        return digest(*parts, *(part for part in more if part is not None))
 
     @functools.cached_property
     def _inputs(self) -> str | None:

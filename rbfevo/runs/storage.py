@@ -88,6 +88,8 @@ def write_scenario(directory: Path, scenario: Scenario) -> None:
         arrays["stays"] = scenario.stays.cpu().numpy()
     if scenario.hold is not None and scenario.blend is not None:
         arrays["blend"], arrays["held"] = scenario.blend.cpu().numpy(), scenario.hold.points
+    if scenario.max_displacement is not None:
+        arrays["max_displacement"] = scenario.max_displacement.cpu().numpy()
     if scenario.gradient_raw is not None:
         arrays["gradient_raw"] = scenario.gradient_raw.cpu().numpy()  # before smoothing
     if scenario.rows is not None:

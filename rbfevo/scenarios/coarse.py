@@ -34,6 +34,7 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
         return rows.new_zeros(cells, rows.shape[1]).index_add_(0, cell, rows)
 
     roots = blocks.W[:, None]
+    most = None if scenario.max_displacement is None else scenario.max_displacement[blocks.order]
     weights, moments, blend = total(roots.square()), blocks.g.T * roots, None
     if scenario.blend is not None:
         # With these, G and b of a column that is constant over a cell are those of the cell's vertices.
@@ -49,6 +50,7 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
         closest=None,
         stays=None,
         blend=None if blend is None else blend[:, 0],
+        max_displacement=None if most is None else (total(roots.square() * most[:, None]) / weights)[:, 0],
         gradient_raw=None,
     )
 

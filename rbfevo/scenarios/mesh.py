@@ -13,7 +13,7 @@ from rbfevo.geometry import topology
 from rbfevo.geometry.correspondence import Points
 from rbfevo.geometry.lengths import length
 from rbfevo.geometry.pairing import REJECTIONS
-from rbfevo.scenarios import boundaries, fixing, packaging, sensitivities, signs, smoothing
+from rbfevo.scenarios import boundaries, fixing, limits, packaging, sensitivities, signs, smoothing
 from rbfevo.scenarios import symmetry as symmetry_plane
 from rbfevo.scenarios.design import Design
 from rbfevo.scenarios.planar import Planar
@@ -42,6 +42,7 @@ def mesh(
     keep_out: bool | None = None,
     inside: Any = None,
     outside: Any = None,
+    max_displacement: Any = None,
     weights: str = "uniform",
     smooth: Any = None,
     symmetry: str | None = None,
@@ -75,6 +76,7 @@ def mesh(
         hold_width: where the blend reaches 1: model units, or a percentage of the box's diagonal.
         keep_out: whether centers may not sit among the fixed and held vertices; None: only with `hold`.
         inside, outside: boxes and closed surfaces in which centers sit, or do not, as `packaging.packaging` takes them.
+        max_displacement: how far vertices may move at most, as `limits.limits` takes it, or None.
         weights: `uniform`, each vertex counts the same (the paper), or `area`.
         smooth: length over which g is smoothed, model units or a percentage of the box's diagonal; None leaves it.
         symmetry: x, y or z: setups stay symmetric about the plane across that axis, at `symmetry_at` or, where that is
@@ -145,6 +147,10 @@ def mesh(
         notes |= more
 
     diagonal = float((upper - lower).norm())
+    most = None
+    if max_displacement is not None:
+        held = np.zeros(len(read.vertices), bool) if still.blend is None else still.blend == 0.0
+        most, notes["max displacement"] = limits.limits(max_displacement, read, diagonal, held)
     over = None if smooth is None else length("scenario.smooth", smooth, diagonal)
     raw = wanted
     if over is not None:
@@ -188,6 +194,7 @@ def mesh(
         smooth=over,
         gradient_raw=gradient_raw,
         planar=None if flat is None else flat.plane,
+        max_displacement=None if most is None else torch.from_numpy(most),
     )
 
 

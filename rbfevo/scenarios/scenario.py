@@ -57,6 +57,7 @@ class Scenario:
             gradient_norm; None where it was not smoothed, and on coarse designs.
         planar: the mid-plane of a planar design, which is a slab one cell thick or a curve, or None. Centers sit in it,
             and g has no component along its axis.
+        max_displacement: [n] how far each vertex may move at most, model units, positive; None without bounds.
         pinned: whether searches put the last center on the plane of symmetry; None: where their number is odd.
     """
 
@@ -87,6 +88,7 @@ class Scenario:
     gradient_raw: Tensor | None = None
     planar: Plane | None = None
     pinned: bool | None = None
+    max_displacement: Tensor | None = None
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
@@ -97,6 +99,7 @@ class Scenario:
             or self.upper.shape != (d,)
             or (self.stays is not None and self.stays.shape != (n,))
             or (self.blend is not None and self.blend.shape != (n,))
+            or (self.max_displacement is not None and self.max_displacement.shape != (n,))
             or (self.gradient_raw is not None and self.gradient_raw.shape != self.gradient.shape)
         ):
             raise UserError(f"scenario {self.name}: vertices, gradient, weights and box have shapes that do not match")
@@ -147,8 +150,7 @@ class Scenario:
             kept = height >= -self.mirror.tolerance
         if open_only and self.keep_out is not None:
             kept &= ~self.keep_out.contains(self.vertices)
-        names = ("vertices", "gradient", "weights", *([] if self.blend is None else ["blend"]))
-        parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
+        parts = self._rows(kept)
         if not bool((parts["gradient"] != 0).any()):
             return self
         return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None, gradient_raw=None)
@@ -162,14 +164,19 @@ class Scenario:
         if self.planar is None or self.planar.depth == 0.0:
             return self
         kept = self.vertices[:, self.planar.axis] > self.planar.at
-        names = ("vertices", "gradient", "weights", *([] if self.blend is None else ["blend"]))
-        parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
+        parts = self._rows(kept)
         parts["weights"] = 2.0 * parts["weights"]
         return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None, gradient_raw=None)
+
+    def _rows(self, kept: Tensor) -> dict[str, Any]:
+        """What each vertex has, of those that are `kept` [n]."""
+        names = ("vertices", "gradient", "weights", "blend", "max_displacement")
+        return {name: getattr(self, name)[kept] for name in names if getattr(self, name) is not None}
 
     def to(self, device: torch.device) -> Scenario:
         """The same scenario with its tensors on `device`."""
         names = ("vertices", "faces", "gradient", "weights", "lower", "upper", "stays", "blend", "gradient_raw")
+        names = (*names, "max_displacement")
         values = {name: getattr(self, name) for name in names}
         moved: dict[str, Any] = {name: value.to(device) for name, value in values.items() if value is not None}
         return dataclasses.replace(self, **moved)

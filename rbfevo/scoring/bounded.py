@@ -71,6 +71,7 @@ class BoundedPotential:
         p: at least 2.
         blend: [n] what rows of U are multiplied by, or None for ones.
         mirror: the plane of symmetry, or None.
+        most: [n] positive, how far each vertex may move at most: lengths |d_i| then count in these; None if alike.
 
     Attributes:
         evaluations, passes: setups so far, and their passes over the vertices.
@@ -88,6 +89,7 @@ class BoundedPotential:
         weights: Tensor | None = None,
         blend: Tensor | None = None,
         mirror: Mirror | None = None,
+        most: Tensor | None = None,
     ) -> None:
         if not 2.0 <= p < float("inf"):
             raise UserError(f"criterion.norm={p:g}: give a number of at least 2")
@@ -95,6 +97,10 @@ class BoundedPotential:
         self.vertices, self.gradient = vertices.cpu(), gradient.cpu()
         self.representation = RBF(representation) if isinstance(representation, Kernel) else representation
         self.blend = None if blend is None else blend.cpu()
+        if most is not None:  # e_i = d_i / b_i: the columns over b, what a displacement gains times b
+            share = (most / most.max()).cpu()
+            self.gradient = share[:, None] * self.gradient
+            self.blend = (1.0 if self.blend is None else self.blend) / share
         positive = torch.ones_like(self.vertices[:, 0]) if weights is None else weights.cpu()
         with coarse():
             self.u = positive / positive.sum()
