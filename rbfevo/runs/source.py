@@ -1,4 +1,4 @@
-"""The settings of a run that is done, from what Hydra left in its directory, and whether its scenario is still the same."""
+"""The settings of a run, from what Hydra left in its directory, and whether its scenario is still the same."""
 
 from __future__ import annotations
 
