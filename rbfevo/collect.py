@@ -24,8 +24,8 @@ and where settings were tried with several numbers of centers
 
 curves.csv, curves.png  best potential and the knee over the number of centers
 sequence.csv            what 1, 2, ... centers score that OLS places one after the other"""
-EPILOG = """After adding runs, collect again: the files are rewritten. A sequence takes seconds to a minute, with criterion.norm
-above 2 up to two minutes; it is kept in sequence.csv, and --sequence 0 leaves it out."""
+EPILOG = """After adding runs, collect again: the files are rewritten. A sequence takes seconds to a minute, with
+criterion.norm above 2 up to two minutes; it is kept in sequence.csv, and --sequence 0 leaves it out."""
 
 
 def parser() -> parsers.Parser:
@@ -91,7 +91,7 @@ def carry_out(options: argparse.Namespace) -> None:
 def nested_sequences(
     members: Sequence[Member], curves: Sequence[Curve], options: argparse.Namespace, out: Path
 ) -> tuple[list[NestedSequence], list[str]]:
-    """The nested sequences beside the curves, and a line for each that cannot be had; none where there are no curves."""
+    """The nested sequences beside the curves, and a line for each that cannot be had; none without curves."""
     if not curves or not options.sequence:
         return [], []
     meshes = list(dict.fromkeys(curve.mesh for curve in curves))

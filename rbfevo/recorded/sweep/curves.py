@@ -105,37 +105,46 @@ def _sentence(curve: Curve) -> Iterator[str]:
         return
     numbers, gains, potential = curve.centers, curve.gains, curve.groups[0].potential
     at, most, largest = numbers.index(curve.enough), numbers[gains.index(max(gains))], max(gains)
-    gain, share = f"gain (the square root of {potential})", [f"{100 * value / largest:.0f} %" for value in gains]
-    has = "has" if curve.enough == 1 else "have"
-    if not at:
-        text = f"{_centers(curve.enough)}, the fewest tried, {has} {share[at]} of the largest {gain}, that of {most}"
-        text += "; fewer may do" if curve.enough > 1 else ""
+    gain, many = f"the largest gain (the square root of {potential})", _centers(curve.enough)
+    if curve.enough == most:
+        parts = [f"{many} {'has' if most == 1 else 'have'} {gain}"]
     else:
-        text = f"{_centers(curve.enough)} reach {SHARE} of the largest {gain}, "
-        text += "" if curve.enough == most else f"that of {most}; "
-        text += f"{numbers[at - 1]} have {share[at - 1]}"
+        parts = [f"{many} reach{'es' * (curve.enough == 1)} {SHARE} of {gain}, that of {most}"]
+    if at:
+        fewer = numbers[at - 1]
+        parts.append(f"{fewer} {'has' if fewer == 1 else 'have'} {math.floor(100.0 * gains[at - 1] / largest)} %")
+    elif curve.enough > 1:
+        parts.append("no smaller number was tried, and fewer may do")
     if at + 1 == len(numbers):
-        text += "; no more were tried, and more may gain more"
-    steps = [_step(curve, i) for i in (at - 1, at) if 0 <= i < len(numbers) - 1]
-    yield f"{curve.label}: {text}; {', '.join(steps)}"
+        parts.append("no larger number was tried, and more may gain more")
+    yield f"{curve.label}: {'; '.join([*parts, _steps(curve, [i for i in (at - 1, at) if 0 <= i < len(numbers) - 1])])}"
 
 
 def _centers(number: int) -> str:
     return f"{number} center{'s' * (number != 1)}"
 
 
-def _step(curve: Curve, i: int) -> str:
-    """What the step from one number of centers to the next one brings, beside the scatter of the seeds."""
-    one, other = curve.groups[i : i + 2]
-    low, high = curve.centers[i : i + 2]
-    change = other.spreads[BEST].median - one.spreads[BEST].median
-    verb = "grows" if change >= 0.0 else "falls"
-    text = f"from {low} to {high} centers {one.potential} {verb} by {abs(change):.2g}"
-    if min(one.seeds, other.seeds) < 2:
-        return f"{text} (1 seed)"
-    finite = [[value for value in group.values[BEST] if math.isfinite(value)] for group in (one, other)]
-    lower, upper = finite if change >= 0.0 else finite[::-1]
-    return f"{text}, within the scatter of the seeds" if max(lower) >= min(upper) else text
+def _steps(curve: Curve, places: Sequence[int]) -> str:
+    """What the steps from some numbers of centers to the next ones bring, beside the scatter of the seeds."""
+    parts = []
+    for i in places:
+        one, other = curve.groups[i : i + 2]
+        change = other.spreads[BEST].median - one.spreads[BEST].median
+        verb = "grows" if change >= 0.0 else "falls"
+        what = f"centers {one.potential} {verb}" if not parts else f"it {verb}"
+        scatter = ""
+        if min(one.seeds, other.seeds) < 2:
+            scatter = " (1 seed)"
+        elif _overlap(one.values[BEST], other.values[BEST], change >= 0.0):
+            scatter = " (within the scatter of the seeds)"
+        parts.append(f"from {curve.centers[i]} to {curve.centers[i + 1]} {what} by {abs(change):.2g}{scatter}")
+    return ", ".join(parts)
+
+
+def _overlap(one: Sequence[float], other: Sequence[float], grows: bool) -> bool:
+    """Whether the runs of two groups overlap: not each of those said to be larger is."""
+    lower, upper = (one, other) if grows else (other, one)
+    return max(filter(math.isfinite, lower)) >= min(filter(math.isfinite, upper))
 
 
 def _of_sequence(sequence: NestedSequence, label: str, most: int) -> str:
@@ -144,10 +153,10 @@ def _of_sequence(sequence: NestedSequence, label: str, most: int) -> str:
     numbers = list(range(1, len(gains) + 1))
     ends = dict.fromkeys(end for end in (most, len(gains)) if 1 <= end <= len(gains))
     enough = {end: enough_of(numbers[:end], gains[:end]) for end in ends}
-    parts = [
-        f"{_centers(number)} reach{'es' * (number == 1)} {SHARE} of its gain with {end}"
-        for end, number in enough.items()
-        if number is not None
-    ]
-    text = f"{label}: {', '.join(parts) if parts else 'no center gains anything'}"
+    known = [(number, end) for end, number in enough.items() if number is not None]
+    if not known:
+        return f"{label}: no center gains anything"
+    (number, end), *others = known
+    text = f"{label}: {_centers(number)} reach{'es' * (number == 1)} {SHARE} of its gain with {end}"
+    text += "".join(f", {other} of that with {last}" for other, last in others)
     return f"{text}; {sequence.note}" if sequence.note else text
