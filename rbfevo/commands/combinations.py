@@ -15,17 +15,16 @@ from typing import Any, NamedTuple
 
 import hydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override, OverrideType
+from hydra.core.override_parser.types import Override, OverrideType, ValueType
 from hydra.core.plugins import Plugins
-from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 
 from rbfevo.commands import overrides
 from rbfevo.errors import UserError
 
 BASIC = "hydra._internal.core_plugins.basic_sweeper.BasicSweeper"
 SET = (OverrideType.CHANGE, OverrideType.FORCE_ADD)
+LISTED = (ValueType.SIMPLE_CHOICE_SWEEP, ValueType.CHOICE_SWEEP)  # glob(*) is left to Hydra
 OWN = "centers"  # a key of methods that bring their centers
 
 
@@ -48,24 +47,26 @@ def held_back(arguments: Sequence[str], conf: Path) -> tuple[list[str], list[str
 
     Raises:
         UserError: for a key of a group that none of its options has.
+        HydraException: for arguments that Hydra cannot read, or an option that there is not.
     """
     parsed = OverridesParser.create().parse_overrides(list(arguments))
     groups = {path.name for path in conf.iterdir() if path.is_dir()}
     several = {
         override.key_or_group: [str(value) for value in override.sweep_string_iterator()]
         for override in parsed
-        if override.key_or_group in groups and override.is_sweep_override() and override.is_discrete_sweep()
+        if override.key_or_group in groups and override.value_type in LISTED
     }
     searched = [str(override.input_line) for override in parsed if override.key_or_group == "hydra.searchpath"]
     own = [override for override in parsed if override.key_or_group.partition(".")[0] in several and _is_set(override)]
-    if not own and not ("method" in several and any(override.key_or_group == OWN for override in parsed)):
-        return list(arguments), [], Swept({})
-    swept = Swept({group: _keys(group, options, searched, conf) for group, options in several.items()})
+    concerned = {override.key_or_group.partition(".")[0] for override in own}
+    if any(override.key_or_group == OWN for override in parsed):
+        concerned |= {"method"} & set(several)
+    swept = Swept({group: _keys(group, several[group], searched, conf) for group in several if group in concerned})
     apart = []
     for override in own:
         group, _, name = override.key_or_group.partition(".")
         keys = swept.keys[group]
-        if keys and all(name not in known for known in keys.values()):
+        if all(name not in known for known in keys.values()):
             raise UserError(_unknown(override.key_or_group, keys))
         apart.append(str(override.input_line))
     return [argument for argument in arguments if argument not in apart], apart, swept
@@ -76,15 +77,16 @@ def _is_set(override: Override) -> bool:
 
 
 def _keys(group: str, options: Sequence[str], searched: Sequence[str], conf: Path) -> dict[str, set[str]]:
-    """The keys of each option of a group; none where one of them cannot be composed, which Hydra then explains."""
+    """The keys of each option of a group.
+
+    Raises:
+        HydraException: for an option that there is not.
+    """
     found = {}
     for option in options:
-        try:
-            with overrides.initialized(conf):
-                node = hydra.compose("config", overrides=[*searched, f"{group}={option}"])[group]
-        except (HydraException, OmegaConfBaseException):
-            return {}
-        found[option] = set(_dotted(node)) if isinstance(node, DictConfig) else set()
+        with overrides.initialized(conf):
+            node = hydra.compose("config", overrides=[*searched, f"{group}={option}"])[group]
+        found[option] = set(_dotted(node))
     return found
 
 
