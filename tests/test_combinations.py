@@ -110,7 +110,7 @@ def test_searched_and_given_setups_in_one_command(tmp_path: Path, capsys: pytest
     loud = [word for word in given if word != "quiet=true"]
     assert main([*loud, "method=random,given", files, "method.population=6", "centers=4,8"]) == 0  # all done already
     out, err = capsys.readouterr()
-    assert "centers: left out for method=given, which has no use for it" in out.splitlines()
+    assert "method.population, centers: left out for method=given, which has no use for them" in out.splitlines()
     assert "4 of 4 jobs were already done" in err
 
 
