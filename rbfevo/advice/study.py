@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rbfevo.advice.choice import ENOUGH, Trial
+from rbfevo.advice.choice import Trial
 from rbfevo.methods.gradient.lbfgs import LBFGS
 from rbfevo.methods.lloyd import lloyd
 from rbfevo.methods.method import random_stream
@@ -17,6 +17,7 @@ from rbfevo.methods.nested import nested_of
 from rbfevo.scenarios.coarse import coarsened
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.fronts import ENOUGH
 from rbfevo.scoring.kernels import Kernel
 from rbfevo.scoring.representations import RBF
 

@@ -13,6 +13,14 @@ from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.representations import Representation
 
 
+class TooFewCandidatesError(UserError):
+    """Fewer candidates can be picked than centers are asked for; `found` of them can."""
+
+    def __init__(self, message: str, found: int) -> None:
+        super().__init__(message)
+        self.found = found
+
+
 def grid_candidates(lower: Tensor, upper: Tensor, per_axis: int = 30) -> Tensor:
     """Return the uniform grid [per_axis**d, d] over the box `lower` [d], `upper` [d], ends included, last axis fastest.
 

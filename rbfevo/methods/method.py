@@ -27,6 +27,8 @@ class Rows(NamedTuple):
     Attributes:
         centers: [p, m, d], or other setups [p, *setup]; scores: [p]; preference: [p], NaN where there is none.
         labels: a name for each setup, or none at all.
+        picked: of a method that places one center after the other, [m, d] in that order, before a setup is made of
+            them; or None.
     """
 
     method: str
@@ -34,6 +36,7 @@ class Rows(NamedTuple):
     scores: Scores
     preference: Tensor
     labels: Sequence[str] = ()
+    picked: Tensor | None = None
 
 
 class HistoryLine(NamedTuple):
@@ -242,8 +245,9 @@ class Heuristic(Method):
 
 
 def rows_state(rows: Rows) -> dict[str, Any]:
-    """Rows as tensors and text, by name."""
-    return {**rows._asdict(), "scores": rows.scores._asdict()}
+    """Rows as tensors and text, by name; without what they do not have."""
+    parts = {name: value for name, value in rows._asdict().items() if value is not None}
+    return {**parts, "scores": rows.scores._asdict()}
 
 
 def rows_of(state: dict[str, Any]) -> Rows:

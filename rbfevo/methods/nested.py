@@ -15,8 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rbfevo.errors import UserError
-from rbfevo.methods.candidates import atoms_of, candidates_of
+from rbfevo.methods.candidates import TooFewCandidatesError, atoms_of, candidates_of
 from rbfevo.scenarios.coarse import coarsened
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.bounded import BoundedPotential
@@ -60,7 +59,7 @@ def nested(
         kept: [q, d] centers that are there already; none of them is returned.
 
     Raises:
-        UserError: if fewer than `count` candidates move anything.
+        TooFewCandidatesError: if fewer than `count` candidates move anything.
     """
     screen = _Screen(bounded, columns, candidates)
     chosen: list[int] = []
@@ -77,9 +76,10 @@ def nested(
         rows = promise.topk(min(tried, len(candidates) - t)).indices
         rows = rows[torch.isfinite(promise[rows])].sort().values
         if not len(rows):
-            raise UserError(
+            raise TooFewCandidatesError(
                 f"only {t} of the {len(candidates)} candidates move anything, for {count} centers: ask for fewer "
-                "centers or enlarge the support radius"
+                "centers or enlarge the support radius",
+                t,
             )
         before = torch.cat((there, candidates[torch.tensor(chosen, dtype=torch.long)]))
         before = before.expand(len(rows), len(there) + t, -1)

@@ -146,9 +146,10 @@ class Parts:
     def _evaluator(self, scenario: Scenario) -> Evaluator:
         """Of this run's kernel, manipulation and criterion, on a scenario's vertices; a GPU does no more than that."""
         plain = evaluator_of(scenario.to(self.device), self.representation, self.settings.manipulation, self._backend)
-        return plain if self.norm == 2.0 else BoundedEvaluator(plain, self._bounded(scenario))
+        return plain if self.norm == 2.0 else BoundedEvaluator(plain, self.bounded(scenario))
 
-    def _bounded(self, scenario: Scenario) -> BoundedPotential:
+    def bounded(self, scenario: Scenario) -> BoundedPotential:
+        """P_p of this run's setups on a scenario's vertices."""
         design = (scenario.vertices, scenario.gradient, self.representation, self.norm)
         most = scenario.max_displacement
         return BoundedPotential(*design, scenario.weights, scenario.blend, scenario.mirror, most)
@@ -238,7 +239,7 @@ class Parts:
         """The scores of rows that `rescore` has scored, as they are searched: with bounded potential in place of P."""
         if self.norm == 2.0:
             return rows.scores
-        bounded = self._bounded(self.scenario)
+        bounded = self.bounded(self.scenario)
         found = bounded.definition(rows.centers) if self.defined else bounded.values(rows.centers, gap=0.0)
         lost = rows.scores.failed | ~torch.isfinite(found)
         return rows.scores._replace(improvement_potential=torch.where(lost, 0.0, found))

@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from rbfevo import figures
 from rbfevo.errors import UserError
 from rbfevo.files import clear_unfinished
 from rbfevo.methods.method import Method, Problem, Rows, rows_of, rows_state
-from rbfevo.runs import storage
+from rbfevo.runs import sequence, storage
 from rbfevo.runs.assembly import Parts, unused_preferences
 from rbfevo.runs.checkpoint import digest, tensors
 from rbfevo.runs.config import Settings
@@ -29,6 +30,7 @@ from rbfevo.runs.progress import Reporter
 from rbfevo.runs.summary import differences, summary, versions
 from rbfevo.scenarios import reach
 from rbfevo.scoring import compilation
+from rbfevo.scoring.fronts import ENOUGH, enough_of
 from rbfevo.scoring.pareto import hypervolume
 from rbfevo.scoring.representations import RBF
 from rbfevo.scoring.threads import coarse
@@ -222,12 +224,27 @@ class Run(Parts):
         objectives = torch.cat([rows.scores.objectives for rows in judged])
         storage.write_scenario(directory, self.scenario)
         storage.write_setups(directory, table)
+        self._write_sequence(directory, reporter)
         journal.publish()
         storage.write_summary(directory, summary(self, hypervolume(objectives)))
         drawn = figures.draw(directory) if self.settings.figures else []
         for warning in [*self.warnings[self.printed :], *drawn]:
             reporter.line(f"warning: {warning}")
         reporter.closing_table(table, directory, idle, self.norm)
+
+    def _write_sequence(self, directory: Path, reporter: Reporter) -> None:
+        """Write sequence.csv where a method placed one center after the other, and say where another stops paying."""
+        picked = next((rows.picked for rows in self.rows if rows.picked is not None), None)
+        if picked is None or not sequence.is_scored(self):
+            return
+        table = sequence.table(self, picked, self.settings.manipulation)
+        storage.write_sequence(directory, table)
+        gains = np.sqrt(table.get("bounded_potential", table["improvement_potential"]))
+        number = enough_of(table["centers"].tolist(), gains.tolist())
+        if number is not None and len(self.stages) == 1:
+            P = "P" if self.norm == 2.0 else f"P_{self.norm:g}"
+            share = f"{ENOUGH:.0%} of the gain of all, the square root of {P}"
+            reporter.line(f"the first {number} of {len(picked)} centers reach {share}")
 
 
 def carry_out(settings: Settings, directory: Path, arguments: Sequence[str] = (), resume: bool = False) -> int:

@@ -25,6 +25,7 @@ __all__ = [
     "refuse_results",
     "setup_table",
     "write_scenario",
+    "write_sequence",
     "write_setups",
     "write_summary",
     "write_whole",
@@ -78,6 +79,12 @@ def write_setups(directory: Path, table: dict[str, np.ndarray]) -> None:
     write_whole(directory / "setups.npz", npz(table))
     names = [name for name in table if name not in ("centers", "genotype")]
     write_whole(directory / "setups.csv", csv_text(names, zip(*(table[name].tolist() for name in names), strict=True)))
+
+
+def write_sequence(directory: Path, table: dict[str, np.ndarray]) -> None:
+    """Write `sequence.csv`: a line for each number of centers."""
+    rows = zip(*(column.tolist() for column in table.values()), strict=True)
+    write_whole(directory / "sequence.csv", csv_text(list(table), rows))
 
 
 def write_scenario(directory: Path, scenario: Scenario) -> None:

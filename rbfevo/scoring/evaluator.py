@@ -241,18 +241,22 @@ class Evaluator:
             T[index], potential[index], rank[index] = (part.to(T.device) for part in found)
         return T, y, potential, rank, deficient
 
+    def triangle(self, setup: Tensor) -> Tensor:
+        """R [m + k, m + k] of a blocked Householder QR of (Phi g) of one setup, rows times the roots of the weights."""
+        n, m, k = len(self.deformation.vertices), self.representation.columns(setup[None]), self.gradient.shape[1]
+        roots = self.weights.sqrt()[:, None]
+        R = torch.zeros(m + k, m + k, dtype=setup.dtype, device=setup.device)
+        for begin in range(0, n, QR_ROWS):
+            rows = slice(begin, begin + QR_ROWS)
+            Phi = self.deformation.phi(setup, rows)
+            block = roots[rows] * torch.cat((Phi, self.gradient[rows]), dim=1)
+            R = torch.linalg.qr(torch.cat((R, block)), mode="r")[1]
+        return R
+
     def _factorize(self, setups: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Triangular factor, P and rank by blocked Householder QR of (Phi g), as good as an SVD of Phi."""
-        vertices = self.deformation.vertices
-        n, p, m, k = len(vertices), len(setups), self.representation.columns(setups), self.gradient.shape[1]
-        roots = self.weights.sqrt()[:, None]
-        R = torch.zeros(p, m + k, m + k, dtype=setups.dtype, device=setups.device)
-        for e in range(p):  # one at a time: a batch of QR runs no faster and needs p times the memory
-            for begin in range(0, n, QR_ROWS):
-                rows = slice(begin, begin + QR_ROWS)
-                Phi = self.deformation.phi(setups[e], rows)
-                block = roots[rows] * torch.cat((Phi, self.gradient[rows]), dim=1)
-                R[e] = torch.linalg.qr(torch.cat((R[e], block)), mode="r")[1]
+        n, m = len(self.deformation.vertices), self.representation.columns(setups)
+        R = torch.stack([self.triangle(setup) for setup in setups])  # a batch of QR runs no faster
         left, sigma = left_singular(R[:, :m, :m])
         kept = sigma > cutoff(n, m) * sigma[:, :1]
         potential = torch.where(kept[:, :, None], product(left.mT, R[:, :m, m:]), 0.0).square().sum((1, 2))

@@ -40,7 +40,7 @@ PLAIN = "improvement potential"  # what is searched, unless a norm other than 2 
 
 
 class Line(NamedTuple):
-    """What one series of one run found: the rows of one method of setups.npz, or `all`.
+    """What one series of one run found: `all` rows of setups.npz, or those of one method, or of one label.
 
     Attributes:
         settings: those of `ALWAYS` and those that vary in the sweep, of the whole run.
@@ -138,9 +138,9 @@ def _columns(members: Sequence[Member]) -> list[str]:
 
 def _lines(member: Member, keys: Iterable[str]) -> Iterator[Line]:
     record, entry = member.record, member.record.summary.get
-    usable = record.usable
-    for series in (ALL, *dict.fromkeys(record.method.tolist())):
-        rows = usable if series == ALL else usable[record.method[usable] == series]
+    usable, origins = record.usable, np.array([record.origin(row) for row in range(len(record.method))], dtype=np.str_)
+    for series in (ALL, *dict.fromkeys(origins.tolist())):
+        rows = usable if series == ALL else usable[origins[usable] == series]
         R, P = record.regularity[rows], record.potential[rows]
         found = knee(_part(record, rows))
         yield Line(

@@ -39,7 +39,7 @@ function start() {
     state.mesh = content.meshes[index];
     if (byId("filter-mesh")) byId("filter-mesh").value = index;
     show();
-    if (content.sweep) { drawSpread(state); drawGroups(state); }
+    if (content.sweep) { drawNumbers(state); drawSpread(state); drawGroups(state); }
   };
 
   function show() {
@@ -218,11 +218,11 @@ function start() {
   byId("more").addEventListener("click", () => { state.shownRows += AT_ONCE; drawTable(state); });
   byId("copy-bibtex").addEventListener("click", () => copyText(byId("bibtex").textContent, byId("copy-bibtex")));
   addEventListener("hashchange", () => { remembered(); state.showMesh(state.chosen ? state.chosen.run.mesh : state.meshIndex); });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawFront(state); drawViews(); if (content.sweep) drawSpread(state); });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawFront(state); drawViews(); if (content.sweep) { drawNumbers(state); drawSpread(state); } });
 
   if (!document.createElement("canvas").getContext("webgl")) state.flaw = "This browser has no WebGL, or it is switched off: the 3-D views stay empty, but the front, the table and the CSV work. ";
   const fitting = new ResizeObserver((changes) => changes.forEach(({ target }) => { if (target.data && target.clientWidth) Plotly.Plots.resize(target); }));
-  for (const id of ["front", "space-a", "space-b", "spread"]) fitting.observe(byId(id));
+  for (const id of ["front", "space-a", "space-b", "spread", "numbers-potential", "numbers-regularity"]) fitting.observe(byId(id));
 
   byId("title").textContent = content.title;
   byId("subtitle").textContent = content.subtitle;
