@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
@@ -41,12 +41,14 @@ def rebuild(run: Path, record: Record) -> Source:
         raise UserError(f"{run}: only setups of centers (representation=rbf) can be fitted")
     config = _load(run / ".hydra" / "config.yaml")
     for name in MAYBE_FILES:
-        path = OmegaConf.select(config, f"scenario.{name}")
-        here = existing_home(file_and_name(path)[0]).exists() if isinstance(path, str) else True
-        if not here and (run / ".hydra" / "hydra.yaml").exists():
-            before = _began_in(run)
-            if before is not None and (before / file_and_name(str(before / path))[0]).exists():
-                config.scenario[name] = literal(str(before / path))
+        value = OmegaConf.select(config, f"scenario.{name}")
+        listed = list(value) if name == "sensitivity" and isinstance(value, ListConfig) else [value]
+        places = [_elsewhere(run, path) if isinstance(path, str) else None for path in listed]
+        for index, place in enumerate(places):
+            if place is not None and isinstance(value, str):
+                config.scenario[name] = place
+            elif place is not None:
+                config.scenario[name][index] = place
     try:
         settings = check(config)
     except UserError as error:
@@ -71,6 +73,15 @@ def rebuild(run: Path, record: Record) -> Source:
                 "(was a file of the scenario replaced?); start a new run"
             )
     return Source(scenario, kernel, settings.manipulation)
+
+
+def _elsewhere(run: Path, path: str) -> str | None:
+    """A file that is not found from here, but from where the run was started, as it is found then."""
+    if existing_home(file_and_name(path)[0]).exists() or not (run / ".hydra" / "hydra.yaml").exists():
+        return None
+    before = _began_in(run)
+    found = before is not None and (before / file_and_name(str(before / path))[0]).exists()
+    return literal(str(before / path)) if before is not None and found else None
 
 
 def _began_in(run: Path) -> Path | None:

@@ -64,8 +64,8 @@ class Asked:
         worst = combine == "worst"
         if worst and weights is not None:
             raise UserError(
-                "scenario.objective_weights: scenario.combine=worst takes the least of the potentials, which weights do "
-                "not enter; leave one of the two out"
+                "scenario.objective_weights: scenario.combine=worst takes the least of the potentials, which no weight "
+                "changes; leave one of the two out"
             )
         found = _weights(_each("objective_weights", 1.0 if weights is None else weights, count))
         return Asked(sources, choices, found, worst, None if names is None else _names(names, count))
@@ -138,8 +138,8 @@ def _each(key: str, value: Any, count: int) -> list[Any]:
         listed = f"{count} sensitivit{'y' if count == 1 else 'ies'}"
         shown = ",".join(str(entry) for entry in value)
         raise UserError(
-            f"scenario.{key}=[{shown}]: {len(value)} value{'s' * (len(value) != 1)} for {listed}; give one for each, or "
-            "a single one for all"
+            f"scenario.{key}=[{shown}]: {len(value)} value{'s' * (len(value) != 1)} for {listed}; give one for each, "
+            "or a single one for all"
         )
     return list(value)
 

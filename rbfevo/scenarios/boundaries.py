@@ -80,8 +80,8 @@ def sensitivity_of(template: Template) -> str | None:
     names = sorted(name for name, meaning in template.meanings.items() if meaning.rank == best)
     if len(names) > 1:
         raise UserError(
-            f"the case has the sensitivities {', '.join(names)}: set scenario.sensitivity to one of them, or to a list of "
-            "several objectives, such as [A,B]"
+            f"the case has the sensitivities {', '.join(names)}: set scenario.sensitivity to one of them, or to a list "
+            "of several objectives, such as [A,B]"
         )
     return names[0]
 

@@ -176,8 +176,8 @@ def notes_and_warnings(
         share = float(odd / max((weights[some, None] * gradient[some] ** 2).sum(), np.finfo(float).tiny))
         if share > HOPELESS:
             raise UserError(
-                f"symmetry about {name}: the wanted displacement{objective and f' of {objective}'} is antisymmetric, so "
-                "no symmetric setup can follow it; check scenario.symmetry and scenario.symmetry_at"
+                f"symmetry about {name}: the wanted displacement{objective and f' of {objective}'} is antisymmetric, "
+                "so no symmetric setup can follow it; check scenario.symmetry and scenario.symmetry_at"
             )
         shares.append(f"{share:.1%} of |g|^2{objective and f' of {objective}'}")
     are = "is" if len(shares) == 1 else "are"

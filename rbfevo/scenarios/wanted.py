@@ -1,4 +1,4 @@
-"""The wanted displacement of one objective or target, made ready to be scored: what stays, planar, smooth, of unit norm."""
+"""The wanted displacement of an objective or a target, made ready to be scored: planar, smoothed, of unit norm."""
 
 from __future__ import annotations
 

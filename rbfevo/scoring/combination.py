@@ -1,8 +1,8 @@
 """The potentials of several objectives of one design, and how they make the one that is searched.
 
-The gradients g_j, each of unit norm, are stacked: g = [sqrt(s_1) g_1 | ... | sqrt(s_J) g_J] with shares s_j of sum 1. Then
-P of the stacked g is the weighted mean of the objectives' own P_j = |Q^T g_j|^2, and one pass over the vertices, whose
-b = Phi^T g has a block of columns for each, gives all of them.
+The gradients g_j, each of unit norm, are stacked: g = [sqrt(s_1) g_1 | ... | sqrt(s_J) g_J] with shares s_j of sum 1.
+Then P of the stacked g is the weighted mean of the objectives' own P_j = |Q^T g_j|^2, and one pass over the vertices,
+whose b = Phi^T g has a block of columns for each, gives all of them.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Combination:
         return potentials.amin(-1) if self.worst else (potentials * self._like(potentials)).sum(-1)
 
     def slopes(self, potentials: Tensor) -> Tensor:
-        """The gradient [*, J] of that potential in those of the objectives: of the least one, that of the first such."""
+        """The gradient [*, J] of that potential in those of the objectives; of equally small ones the first counts."""
         if not self.worst:
             return self._like(potentials).expand_as(potentials)
         active = potentials.argmin(-1, keepdim=True)
@@ -65,8 +65,8 @@ class Combination:
     def smooth(self, potentials: Tensor, sharpness: float) -> tuple[Tensor, Tensor]:
         """A smooth stand-in [*] for that potential to climb on, and its gradient [*, J].
 
-        For the least one, 1 - (mean_j r_j^q)^(1/q) with the residuals r_j = 1 - P_j and q = sharpness: the least P where
-        all are equal, and never below it; its residual is at most J^(1/q) too small.
+        For the least one, 1 - (mean_j r_j^q)^(1/q) with the residuals r_j = 1 - P_j and q = sharpness: the least P
+        where all are equal, and never below it; its residual is too small by a factor of at most J^(1/q).
         """
         if not self.worst:
             return self(potentials), self.slopes(potentials)

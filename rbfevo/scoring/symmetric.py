@@ -197,7 +197,7 @@ class MirroredSpectrum(Spectrum):
     @torch.no_grad()
     @coarse()
     def backward(self, dlog_sigma: Tensor, dpotential: Tensor) -> Tensor:
-        """Gradient [p, m, d] in the centers of a function with gradients [p, 2m] in log sigma and [p] or [p, J] in P."""
+        """Gradient [p, m, d] in the centers of a function with gradients [p, 2m] in log sigma, and in P as there."""
         m = self.centers.shape[1]
         self.evaluator.gradients += len(self.centers)
         dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
