@@ -26,6 +26,7 @@ from rbfevo.methods.candidates import TooFewCandidatesError, atoms_of, candidate
 from rbfevo.methods.method import Heuristic, Problem, at_least_one
 from rbfevo.methods.nested import FEWER, nested_of
 from rbfevo.methods.screening import Screen
+from rbfevo.scoring.combination import Combination
 
 
 class Selection(NamedTuple):
@@ -49,8 +50,11 @@ def ols(
     memory: float = 1.25e9,
     block: int = 32,
     kept: Tensor | None = None,
+    groups: int = 1,
 ) -> Selection:
     """Pick `count` of `candidates` [c, d] greedily, to maximize the improvement potential P of indirect manipulation.
+
+    With several groups of columns of g it is the least of their potentials, each relative to its own part of g.
 
     Gains are exact, count all columns of g together, and are in units of P: relative to the squared (weighted)
     Frobenius norm of g. Those within `tolerance` of the best tie, and the lowest index wins. A candidate is skipped if
@@ -68,6 +72,7 @@ def ols(
         memory: bytes for columns kept in single precision; those that do not fit are computed at every pick.
         block: number of candidates computed at a time.
         kept: [q, d] centers that are there already: gains are those beside them, and none of them is picked.
+        groups: equally many columns of g each, one group after another.
 
     Raises:
         UserError: if `count` is below 1, or g is zero or not finite.
@@ -86,7 +91,7 @@ def ols(
     if not bool(length.isfinite() & (length > 0)):
         raise UserError("OLS needs an estimated fitness gradient that is finite and not zero everywhere")
 
-    screen = Screen(columns, candidates, root, residual / length, memory, block)
+    screen = Screen(columns, candidates, root, residual / length, memory, block, groups)
     before = residual.new_empty(len(residual), 0) if kept is None else screen.basis_of(kept, vanish)
     basis = residual.new_empty(before.shape[1] + count, len(residual)).T
     basis[:, : before.shape[1]] = before
@@ -117,7 +122,8 @@ class OlsHeuristic(Heuristic):
 
     They are chosen for indirect manipulation and used for both, since P is the same for both. Of a symmetric design it
     sees one half, without the images of the centers; of a planar one candidates lie in the plane alone. Where bounded
-    potential is searched, the centers are those of `rbfevo.methods.nested`, on a coarse design.
+    potential is searched, the centers are those of `rbfevo.methods.nested`, on a coarse design. Of several objectives
+    each center raises the mean of their potentials the most, or the least of them, whichever is searched.
     """
 
     name = "ols"
@@ -149,7 +155,7 @@ class OlsHeuristic(Heuristic):
             per_axis = min(self.per_axis, FEWER)
             searched = (problem.scenario, problem.representation, problem.norm)
             return nested_of(*searched, problem.free, per_axis, problem.kept_on_one_side).centers
-        design = problem.scenario.half()
+        design, combination = problem.scenario.half(), Combination.of(problem.scenario.objectives)
         atoms, blend = atoms_of(problem.representation, design), design.blend
         return ols(
             atoms if blend is None else lambda candidates: blend[:, None] * atoms(candidates),
@@ -158,4 +164,5 @@ class OlsHeuristic(Heuristic):
             problem.free,
             weights=design.weights,
             kept=problem.kept_on_one_side,
+            groups=combination.count if combination.worst else 1,
         ).centers

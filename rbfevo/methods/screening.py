@@ -31,7 +31,8 @@ class Screen:
     """What is known of every candidate, its column phi scaled to unit length, given the picks so far.
 
     `left` [c] bounds w^T w from below, `moment` [c, k] is w^T r up to `doubt` [c] in norm, `usable` [c] marks those
-    that may still be picked. A product of a unit column with a unit vector is taken to be wrong by at most `slack`: u
+    that may still be picked. `reached` [groups] of `whole` [groups] is what the picks reach of the squared norm of each
+    group of columns of g. A product of a unit column with a unit vector is taken to be wrong by at most `slack`: u
     for rounding each factor and sqrt(n) u for summing n terms (Higham & Mary 2019), in the precision of the product.
     """
 
@@ -43,7 +44,11 @@ class Screen:
         residual: Tensor,
         memory: float,
         block: int,
+        groups: int = 1,
     ):
+        self.groups = groups
+        self.whole = self._by_group(residual.square().sum(0))
+        self.reached = torch.zeros_like(self.whole)
         self.columns, self.candidates, self.root, self.residual, self.block = columns, candidates, root, residual, block
         c, (n, k) = len(candidates), residual.shape
         self.rounding, rough = (torch.finfo(t).eps * (1 + math.sqrt(n) / 2) for t in (torch.float64, torch.float32))
@@ -112,13 +117,13 @@ class Screen:
     def best(self, Q: Tensor, tolerance: float, vanish: float) -> tuple[int, Tensor]:
         """Return index and exact gain of the next pick, or -1 and 0 if no candidate can be used."""
         remaining = (self.residual * self.residual).sum()
+        before = self._least(torch.zeros_like(self.whole)) if self.groups > 1 else torch.zeros_like(remaining)
         exact = torch.full_like(self.left, -torch.inf)  # the gains computed in full
         index = torch.arange(len(exact), device=exact.device)
         sharp = self.slack <= self.rounding  # bounds from double precision
         few, many = 4, 16
         while True:
-            upper = (torch.linalg.vector_norm(self.moment, dim=1) + self.doubt).square() / self.left
-            upper = torch.where(self.left > 0, upper, torch.inf).clamp(max=remaining)
+            upper = self._upper(remaining)
             top = exact.max()
             tied = (exact >= 0) & (exact >= top - tolerance)
             first = int(tied.int().argmax()) if bool(tied.any()) else -1
@@ -126,7 +131,7 @@ class Screen:
             if first >= 0:  # a later one that cannot lead the first by more than the tolerance changes nothing
                 doubtful &= (index < first) | (upper > exact[first] + tolerance)
             if not bool(doubtful.any()):
-                return first, exact[first] if first >= 0 else torch.zeros_like(remaining)
+                return first, exact[first] - before if first >= 0 else torch.zeros_like(remaining)
             clear = doubtful & sharp
             if first >= 0 and not bool(clear.any()):
                 ahead = _largest(upper, doubtful, many)
@@ -138,12 +143,37 @@ class Screen:
             w = self._remainders(ahead, Q)
             square, moment = (w * w).sum(1), w @ self.residual
             alive = square >= vanish
-            exact[ahead] = torch.where(alive, (moment * moment).sum(1) / square, -torch.inf)
+            exact[ahead] = torch.where(alive, self._gain(moment * moment, square), -torch.inf)
             self.usable[ahead[~alive]] = False
             self.left[ahead] = (square.sqrt() - self.rounding).clamp(min=0).square()
             self.moment[ahead] = moment
             self.doubt[ahead] = self.rounding
             few = min(2 * few, 128)
+
+    def _upper(self, remaining: Tensor) -> Tensor:
+        """A bound [c] from above of what each candidate would bring."""
+        if self.groups == 1:
+            upper = (torch.linalg.vector_norm(self.moment, dim=1) + self.doubt).square() / self.left
+            return torch.where(self.left > 0, upper, torch.inf).clamp(max=remaining)
+        norms = torch.linalg.vector_norm(self.moment.unflatten(1, (self.groups, -1)), dim=2)
+        upper = (norms + self.doubt[:, None]).square() / self.left[:, None]
+        upper = torch.where(self.left[:, None] > 0, upper, torch.inf)
+        return self._least(torch.minimum(upper, self._by_group(self.residual.square().sum(0))))
+
+    def _gain(self, moments: Tensor, square: Tensor) -> Tensor:
+        """What candidates bring [b] with the squares of w^T r [b, k] and w^T w [b]: of several groups the least P."""
+        if self.groups == 1:
+            return moments.sum(1) / square
+        return self._least(self._by_group(moments) / square[:, None])
+
+    def _least(self, gains: Tensor) -> Tensor:
+        """The least P of all groups [*] once they gain so much [*, groups] of g's squared norm."""
+        shares = torch.where(self.whole > 0, (self.reached + gains) / self.whole, torch.inf)
+        return shares.amin(-1)
+
+    def _by_group(self, columns: Tensor) -> Tensor:
+        """Sums [*, groups] of numbers of the columns of g [*, k]."""
+        return columns.unflatten(-1, (self.groups, -1)).sum(-1)
 
     def _sharpen(self, indices: Tensor, Q: Tensor) -> None:
         """Bring bounds to double precision: w^T w = 1 - |Q^T phi|^2 and w^T r = phi^T r, without computing w."""
@@ -193,3 +223,4 @@ class Screen:
         self.moment -= torch.outer(y, share)
         self.doubt += self.slack * torch.linalg.vector_norm(share)
         self.residual = self.residual - torch.outer(q, share)
+        self.reached = self.reached + self._by_group(share.square())

@@ -230,7 +230,12 @@ class Setup:
 
         Rows count with the square root of their weight. One pass over blocks of vertices keeps the triangular factor of
         [Phi | g]; where columns depend on each other the weights are those of minimum norm.
+
+        Raises:
+            UserError: for a run of several objectives, each of which has a best approximation of its own.
         """
+        if record.gradients is not None:
+            raise UserError(f"this run has several objectives, {', '.join(record.objectives)}: take one of them")
         (n, k), block = record.gradient.shape, self._rows(block)
         weights = np.zeros((self.count, k))
         for components, across, columns in self.parities(k):

@@ -14,10 +14,11 @@ from rbfevo.errors import UserError
 from rbfevo.methods.method import Method, Problem, Rows, no_preference, random_stream
 from rbfevo.runs.config import OWN_CENTERS, Settings, build
 from rbfevo.runs.identity import stages_of
+from rbfevo.runs.judged import Judged
 from rbfevo.scenarios.beginnings import read_kept, read_starts
 from rbfevo.scenarios.coarse import coarsened, matched
 from rbfevo.scenarios.scenario import Scenario
-from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.bounded import BoundedPotential, bounded_of
 from rbfevo.scoring.bounded_evaluator import BoundedEvaluator
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.evolvability import Scores
@@ -148,11 +149,9 @@ class Parts:
         plain = evaluator_of(scenario.to(self.device), self.representation, self.settings.manipulation, self._backend)
         return plain if self.norm == 2.0 else BoundedEvaluator(plain, self.bounded(scenario))
 
-    def bounded(self, scenario: Scenario) -> BoundedPotential:
-        """P_p of this run's setups on a scenario's vertices."""
-        design = (scenario.vertices, scenario.gradient, self.representation, self.norm)
-        most = scenario.max_displacement
-        return BoundedPotential(*design, scenario.weights, scenario.blend, scenario.mirror, most)
+    def bounded(self, scenario: Scenario) -> list[BoundedPotential]:
+        """P_p of this run's setups on a scenario's vertices, of each objective."""
+        return [bounded_of(alone, self.representation, self.norm, alone.mirror) for alone in scenario.each()]
 
     @property
     def norm(self) -> float:
@@ -196,8 +195,11 @@ class Parts:
                 return self._problem(fewer, coarse, initial)
             trial = self._evaluator(fewer)
             known = initial if len(initial.centers) else self._for_matching
-            potential = trial(known.centers).improvement_potential
-            fewer = matched(fewer, potential, known.scores.improvement_potential)
+            if scenario.objectives is None:
+                potential = trial(known.centers).improvement_potential
+                fewer = matched(fewer, potential, known.scores.improvement_potential)
+            else:
+                fewer = matched(fewer, trial.of_each(known.centers)[1], self.full_evaluator.of_each(known.centers)[1])
             coarse = self._evaluator(fewer)
             coarse.evaluations = trial.evaluations
             self.coarse_evaluators.append(coarse)
@@ -226,23 +228,35 @@ class Parts:
 
     def rescore(self, centers: torch.Tensor) -> Scores:
         """Scores on all vertices, by the definition where U is not too large for that."""
+        return self.rescore_each(centers)[0]
+
+    def rescore_each(self, centers: torch.Tensor) -> tuple[Scores, torch.Tensor]:
+        """`rescore`, and P [p, J] of each objective; P itself is that of the whole gradient, the mean."""
         evaluator = self.full_evaluator
         if isinstance(evaluator, BoundedEvaluator):
             evaluator = evaluator.plain
         if self.defined:
-            return evaluator.definition(centers)
-        return evaluator_of(
-            self.scenario.to(self.device), self.representation, self.settings.manipulation, evaluator.backend
-        )(centers)  # one of its own: these are no evaluations of the search
+            scores, potentials = evaluator.definition_of_each(centers)
+        else:
+            design = self.scenario.to(self.device), self.representation, self.settings.manipulation, evaluator.backend
+            scores, potentials = evaluator_of(*design).of_each(centers)  # one of its own: no evaluations of the search
+        mean = evaluator.combination.mean
+        return scores._replace(improvement_potential=mean(potentials)), potentials
 
-    def searched_scores(self, rows: Rows) -> Scores:
-        """The scores of rows that `rescore` has scored, as they are searched: with bounded potential in place of P."""
-        if self.norm == 2.0:
-            return rows.scores
-        bounded = self.bounded(self.scenario)
-        found = bounded.definition(rows.centers) if self.defined else bounded.values(rows.centers, gap=0.0)
-        lost = rows.scores.failed | ~torch.isfinite(found)
-        return rows.scores._replace(improvement_potential=torch.where(lost, 0.0, found))
+    def judged(self, rows: Rows) -> Judged:
+        """Rows scored on all vertices, as they are saved and as they are searched."""
+        if self.scenario.objectives is None:
+            rows, potentials = rows._replace(scores=self.rescore(rows.centers)), None
+        else:
+            scores, potentials = self.rescore_each(rows.centers)
+            rows = rows._replace(scores=scores)
+        bounded = None
+        if isinstance(self.full_evaluator, BoundedEvaluator):
+            evaluator = BoundedEvaluator(self.full_evaluator.plain, self.bounded(self.scenario))
+            found = evaluator.exact(rows.centers, self.defined)
+            lost = rows.scores.failed | ~torch.isfinite(found).all(1)
+            bounded = torch.where(lost[:, None], 0.0, found)
+        return Judged(rows, potentials, bounded, self.full_evaluator.combination)
 
 
 def unused_preferences(settings: Settings) -> list[str]:

@@ -12,6 +12,8 @@ from rbfevo.methods.method import Method
 from rbfevo.runs.checkpoint import digest, load
 from rbfevo.runs.config import MOVED, RBF, Settings, build
 
+ADDED = {"objective_weights": None, "objective_names": None, "combine": "mean"}  # later keys of scenario=mesh
+
 
 def checkpoint_for(settings: Settings, directory: Path) -> dict[str, Any] | None:
     """The checkpoint that the run is to go on from; None if it was made before the search began.
@@ -59,6 +61,9 @@ def identity(settings: Settings, whole: bool = False) -> str:
         del plain["keep"]
     if plain["representation"] == RBF:  # checkpoints from before there were others
         del plain["representation"]
+    plain["scenario"] = {  # of checkpoints from before there were these keys
+        key: value for key, value in plain["scenario"].items() if key not in ADDED or value != ADDED[key]
+    }
     before = {now: then for then, now in MOVED.items()}
     plain["kernel"] = {
         **plain["kernel"],

@@ -210,27 +210,28 @@ class Run(Parts):
         if not self.rows:
             reporter.line("stopped before any result; nothing was written")
             return
-        rescored = [rows._replace(scores=self.rescore(rows.centers)) for rows in self.rows]
-        judged = [rows._replace(scores=self.searched_scores(rows)) for rows in rescored]
+        judged = [self.judged(rows) for rows in self.rows]
         if self.searched is not self.scenario:
-            self.differences = differences(self.rows[self._drawn :], judged[self._drawn :])
+            found = [one.rows._replace(scores=one.searched) for one in judged]
+            self.differences = differences(self.rows[self._drawn :], found[self._drawn :])
         idle = None
         if isinstance(self.representation, RBF) and self.kernel.support is not None:
             found = torch.cat([row.centers for row in self.rows])
             self.warnings += reach.out_of_reach(self.scenario, self.kernel.support, found)
             idle = reach.idle_centers(self.scenario, self.kernel.support, found.nan_to_num()).numpy()
-        searched = None if self.norm == 2.0 else [rows.scores for rows in judged]
-        table = storage.setup_table(rescored, self.representation, self.scenario.vertices.shape[1], searched)
-        objectives = torch.cat([rows.scores.objectives for rows in judged])
+        rows = [one.rows for one in judged]
+        table = storage.setup_table(rows, self.representation, self.scenario.vertices.shape[1], judged)
+        objectives = torch.cat([one.searched.objectives for one in judged])
         storage.write_scenario(directory, self.scenario)
-        storage.write_setups(directory, table)
+        names = () if self.scenario.objectives is None else self.scenario.objectives.names
+        storage.write_setups(directory, table, names)
         self._write_sequence(directory, reporter)
         journal.publish()
         storage.write_summary(directory, summary(self, hypervolume(objectives)))
         drawn = figures.draw(directory) if self.settings.figures else []
         for warning in [*self.warnings[self.printed :], *drawn]:
             reporter.line(f"warning: {warning}")
-        reporter.closing_table(table, directory, idle, self.norm)
+        reporter.closing_table(table, directory, idle, self.norm, names)
 
     def _write_sequence(self, directory: Path, reporter: Reporter) -> None:
         """Write sequence.csv where a method placed one center after the other, and say where another stops paying."""

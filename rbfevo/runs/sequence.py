@@ -13,6 +13,7 @@ from rbfevo.methods.candidates import TooFewCandidatesError, candidates_of
 from rbfevo.methods.method import Problem
 from rbfevo.runs.assembly import Parts
 from rbfevo.scenarios.coarse import coarsened
+from rbfevo.scoring.combination import Combination
 from rbfevo.scoring.prefixes import bounded_prefixes, shared_scores
 from rbfevo.scoring.representations import RBF
 from rbfevo.scoring.symmetric import evaluator_of
@@ -40,7 +41,8 @@ def table(parts: Parts, picked: torch.Tensor, manipulation: str) -> dict[str, np
     found = {"centers": np.arange(1, len(picked) + 1), "regularity": regularity.numpy()}
     found["improvement_potential"] = potential.numpy()
     if parts.norm != 2.0:
-        found["bounded_potential"] = bounded_prefixes(parts.bounded(scenario), setups, picked).numpy()
+        each = [bounded_prefixes(one, setups, picked) for one in parts.bounded(scenario)]
+        found["bounded_potential"] = Combination.of(scenario.objectives)(torch.stack(each, dim=1)).numpy()
     return found | {axis: picked[:, i].numpy() for i, axis in enumerate("xyz"[: picked.shape[1]])}
 
 
@@ -72,5 +74,5 @@ def _small(problem: Problem, heuristic: OlsHeuristic) -> Problem:
 
 
 def is_scored(parts: Parts) -> bool:
-    """Whether the columns of a run's setups belong to one center each, so that the first of them are setups, too."""
-    return isinstance(parts.representation, RBF)
+    """Whether the columns of a run's setups belong to one center each, and the mean of all objectives is searched."""
+    return isinstance(parts.representation, RBF) and not Combination.of(parts.scenario.objectives).worst

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
@@ -28,12 +28,14 @@ def settings_of(run: Path) -> Settings:
     """
     config = _load(run / ".hydra" / "config.yaml")
     for name in MAYBE_FILES:
-        path = OmegaConf.select(config, f"scenario.{name}")
-        here = existing_home(file_and_name(path)[0]).exists() if isinstance(path, str) else True
-        if not here and (run / ".hydra" / "hydra.yaml").exists():
-            before = _began_in(run)
-            if before is not None and (before / file_and_name(str(before / path))[0]).exists():
-                config.scenario[name] = literal(str(before / path))
+        value = OmegaConf.select(config, f"scenario.{name}")
+        places = [value] if isinstance(value, str) else list(value) if isinstance(value, ListConfig) else []
+        for index, path in enumerate(places):
+            found = _elsewhere(run, path) if isinstance(path, str) else None
+            if found is not None and isinstance(value, str):
+                config.scenario[name] = found
+            elif found is not None:
+                config.scenario[name][index] = found
     try:
         return check(config)
     except UserError as error:
@@ -49,6 +51,15 @@ def refuse_changed(run: Path, scenario: Scenario, then: Any) -> None:
                 f"{run}: {name} of the scenario changed since this run scored its setups "
                 "(was a file of the scenario replaced?); start a new run"
             )
+
+
+def _elsewhere(run: Path, path: str) -> str | None:
+    """A file that is not found from here, but from where the run was started, as it is found then."""
+    if existing_home(file_and_name(path)[0]).exists() or not (run / ".hydra" / "hydra.yaml").exists():
+        return None
+    before = _began_in(run)
+    found = before is not None and (before / file_and_name(str(before / path))[0]).exists()
+    return literal(str(before / path)) if before is not None and found else None
 
 
 def _began_in(run: Path) -> Path | None:

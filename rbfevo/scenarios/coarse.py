@@ -60,10 +60,15 @@ def matched(scenario: Scenario, potential: Tensor, expected: Tensor) -> Scenario
 
     Args:
         scenario: as `coarsened` leaves it.
-        potential: [p] P on it; expected: [p] P of the same setups on the full design.
+        potential: [p] P on it; expected: [p] P of the same setups on the full design; of several objectives both
+            [p, J], and each of their g is scaled by itself.
 
     The norm of g stays at most 1, and with it P.
     """
+    if scenario.objectives is not None:
+        columns = zip(scenario.each(), potential.unbind(1), expected.unbind(1), strict=True)
+        fields = [matched(alone, own, other).gradient for alone, own, other in columns]
+        return dataclasses.replace(scenario, gradient=scenario.objectives.stacked(fields))
     norm = (scenario.weights[:, None] * scenario.gradient.square()).sum().sqrt()
     slope = (expected * potential).sum() / potential.square().sum().clamp_min(torch.finfo(potential.dtype).tiny)
     factor = torch.minimum(slope.sqrt(), 1.0 / norm) if bool(slope > 0) else torch.ones_like(norm)

@@ -17,6 +17,7 @@ from rbfevo.geometry.holding import Hold
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.parameterization import Parameterization, Region
 from rbfevo.geometry.planar import Plane
+from rbfevo.scenarios.objectives import Objectives
 
 Sampler = Callable[[int, int, torch.Generator], Tensor]
 Closest = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -30,7 +31,8 @@ class Scenario:
         name: as on the command line (`plane`, `face`).
         vertices: [n, d], d = 2 or 3, in model units.
         faces: [f, 3] int64 triangles into `vertices`.
-        gradient: [n, k] estimated fitness gradient g, of unit (weighted) Frobenius norm.
+        gradient: [n, k] estimated fitness gradient g, of unit (weighted) Frobenius norm; of several objectives those of
+            all, stacked to [n, J k].
         weights: [n] positive; row i of Phi and g counts with sqrt(weights[i]); ones if uniform.
         lower, upper: [d] corners of the box, model units.
         support: default support radius of compact kernels, model units.
@@ -59,6 +61,8 @@ class Scenario:
             and g has no component along its axis.
         max_displacement: [n] how far each vertex may move at most, model units, positive; None without bounds.
         pinned: whether searches put the last center on the plane of symmetry; None: where their number is odd.
+        objectives: of several sensitivities, whose fields `gradient` and `gradient_raw` stack; None of one, and of
+            targets: `objective` and `gradient_norm` are then its own.
     """
 
     name: str
@@ -89,6 +93,7 @@ class Scenario:
     planar: Plane | None = None
     pinned: bool | None = None
     max_displacement: Tensor | None = None
+    objectives: Objectives | None = None
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
@@ -101,11 +106,24 @@ class Scenario:
             or (self.blend is not None and self.blend.shape != (n,))
             or (self.max_displacement is not None and self.max_displacement.shape != (n,))
             or (self.gradient_raw is not None and self.gradient_raw.shape != self.gradient.shape)
+            or (self.objectives is not None and self.gradient.shape[1] % len(self.objectives))
         ):
             raise UserError(f"scenario {self.name}: vertices, gradient, weights and box have shapes that do not match")
         for name in ("vertices", "gradient", "weights", "lower", "upper"):
             if not bool(torch.isfinite(getattr(self, name)).all()):
                 raise UserError(f"scenario {self.name}: {name} has values that are not finite")
+
+    @property
+    def fields(self) -> Tensor:
+        """The wanted displacement [J, n, k] of each objective, of unit norm (but for that of coarse designs)."""
+        return self.gradient[None] if self.objectives is None else self.objectives.fields(self.gradient)
+
+    def each(self) -> list[Scenario]:
+        """The same design once for each objective, with its wanted displacement alone."""
+        if self.objectives is None:
+            return [self]
+        parts = {"objectives": None, "gradient_raw": None}
+        return [dataclasses.replace(self, gradient=field, **parts) for field in self.fields]
 
     @property
     def diagonal(self) -> float:

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
+from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.evolvability import cutoff
 from rbfevo.scoring.kernels import Kernel
 from rbfevo.scoring.maxnorm import Block, best_displacement, power
@@ -297,6 +298,14 @@ class BoundedPotential:
     def _steps(self) -> list[slice]:
         """Slices of the vertices."""
         return [slice(begin, begin + ROWS) for begin in range(0, len(self.u), ROWS)]
+
+
+def bounded_of(
+    scenario: Scenario, representation: Representation | Kernel, p: float, mirror: Mirror | None = None
+) -> BoundedPotential:
+    """P_p of a scenario of one objective; mirror: its plane of symmetry, or None to leave it out."""
+    design = scenario.vertices, scenario.gradient, representation, p
+    return BoundedPotential(*design, scenario.weights, scenario.blend, mirror, scenario.max_displacement)
 
 
 def _taken(weights: Tensor, rows: Tensor | None) -> Tensor:

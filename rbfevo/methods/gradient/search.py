@@ -10,7 +10,7 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.methods.gradient.lbfgs import LBFGS
 from rbfevo.methods.gradient.teams import RANDOM, FrontTeam, Team, WishTeam
-from rbfevo.methods.gradient.tracing import exponents, soft_regularity
+from rbfevo.methods.gradient.tracing import exponents, soft_potential, soft_regularity
 from rbfevo.methods.lloyd import LloydHeuristic
 from rbfevo.methods.method import Method, Problem, Rows, at_least_one, starts_of, unscored
 from rbfevo.methods.ols import OlsHeuristic
@@ -18,7 +18,7 @@ from rbfevo.methods.ols import OlsHeuristic
 ROUNDS = 5
 FIRST_ROUND = 0.3  # of the generations: starts climb on their own before the front is looked at
 REFRESH = 10  # generations of the first round after which the smoothing is fitted to what R has become
-SHARPNESS = 16.0  # of the smooth R in the first round; doubled in every later one
+SHARPNESS = 16.0  # of the smooth R and the smooth least P in the first round; doubled in every later one
 SCATTER = 0.05  # of the box: standard deviation of the most scattered copy of a heuristic setup
 
 
@@ -157,8 +157,9 @@ class GradientSearch(Method):
         if self._exponents is None:
             raise UserError("gradient: call start() with a problem first")
         log_regularity, slope = soft_regularity(spectrum, self._exponents)
-        values, in_regularity, in_potential = self._team.aim(log_regularity, spectrum.potential)
-        gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential)
+        potential, shares = soft_potential(spectrum, self._sharpness)
+        values, in_regularity, in_potential = self._team.aim(log_regularity, potential)
+        gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential[:, None] * shares)
         gradient = self._problem.space.pull(placed, gradient)
         self._climb.tell(values, (gradient * self._side).flatten(1))
         self._team.move(self._climb, points, objectives, self._climb.accepted)
@@ -172,7 +173,7 @@ class GradientSearch(Method):
             self._team.take(points, self._fine.evaluate(self._fine.space.place(given)).objectives)
 
     def state_dict(self) -> dict[str, Any]:
-        """Elements, team, generator, and how sharp the smooth R is."""
+        """Elements, team, generator, and how sharp the smooth R and P are."""
         return {
             "step": self._step,
             "sharpness": self._sharpness,
