@@ -24,6 +24,7 @@ from rbfevo.figures import curves as figure
 from rbfevo.recorded import sweep
 from rbfevo.recorded.sweep import sequences
 from rbfevo.recorded.sweep.tables import QUANTITIES, Group, spread
+from rbfevo.runs.sequence import picks
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page
@@ -268,8 +269,16 @@ def collected(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     given = ["-m", *RANDOM, "figures=false", f"hydra.sweep.dir={directory}"]
     assert main([*given, "centers=2,4,8", "manipulation=indirect,direct", "seed=0,1"]) == 0
     assert not (directory / "curves.csv").exists()  # figures=false
-    with contextlib.redirect_stdout(io.StringIO()) as out:
+    picked: list[int] = []
+
+    def counted(parts: Any, most: int) -> Any:
+        picked.append(most)
+        return picks(parts, most)
+
+    with contextlib.redirect_stdout(io.StringIO()) as out, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rbfevo.runs.sequence.picks", counted)
         assert collect.main([str(directory), "--sequence", "12"]) == 0
+    assert picked == [12]  # once for both manipulations
     return directory, out.getvalue()
 
 

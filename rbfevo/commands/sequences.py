@@ -50,7 +50,7 @@ def collected(
         except Exception as error:  # whatever it is, the sweep has a page without it
             why = str(error) if isinstance(error, UserError) else f"{type(error).__name__}: {error}"
             warnings.append(f"no nested OLS sequence for {member.name} and runs like it: {' '.join(why.split())}")
-            found += [sequences.cut(one, most) for one in known[-1:]]
+            found += sorted(known, key=lambda one: len(one.points))[-1:]
     return found, warnings
 
 
