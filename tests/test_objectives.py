@@ -1,235 +1,381 @@
-"""`scenario.sensitivity=[...]`: several objectives of one design, searched for the mean or the least of their P."""
+"""Several objectives: their potentials, the mean and the least of them, and the gradients of all, against NumPy."""
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-import pyvista as pv
 import torch
+from several import SUPPORT, eggs, phi, scenario, sources
+from torch import Tensor
 
-from rbfevo import export
-from rbfevo.__main__ import main
-from rbfevo.recorded.moves import RULES, wanted_move
-from rbfevo.recorded.record import Record, read
-from rbfevo.recorded.setup import setup
-from rbfevo.runs import run
+from rbfevo.errors import UserError
+from rbfevo.methods.candidates import grid_candidates
+from rbfevo.methods.nested import nested
+from rbfevo.methods.ols import ols
+from rbfevo.scenarios import mesh
+from rbfevo.scenarios.coarse import coarsened, matched
+from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.bounded import bounded_of
+from rbfevo.scoring.bounded_evaluator import BoundedEvaluator
 from rbfevo.scoring.combination import Combination
-from tests.test_contracts import METHODS, option, settings
-from tests.test_given import HALF, table
-from tests.test_mesh_runs import SUPPORT, egg
+from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.kernels import Cubic, Kernel, Wendland
+from rbfevo.scoring.symmetric import evaluator_of
 
-SHARES = np.array([2.0, 1.0]) / 3.0
+HELD = {"hold": [-1.9, None, None, -1.2, None, None], "hold_width": 1.0}
+MIRRORED = {"symmetry": "y", "symmetry_at": 0.0, "weights": "area"}
+CASES = [{}, HELD, MIRRORED, {**MIRRORED, **HELD}]
+WEIGHTS = {"objective_weights": [3, 1]}
+WORST = {"combine": "worst"}
 
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = egg(tmp_path_factory.mktemp("egg"))
-    x = np.asarray(pv.read(path).points, np.float64)
-    lift = np.column_stack([np.sin(2.0 * x[:, 2]), 0.3 * x[:, 1], np.cos(1.5 * x[:, 0])])
-    np.save(path.parent / "lift.npy", 5.0 * lift)
-    return path
+    """A small egg with sensitivities beside it."""
+    return eggs(tmp_path_factory.mktemp("eggs"))
 
 
-@pytest.fixture(autouse=True)
-def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rbfevo.figures.draw", lambda run: [])
+def setups(design: Scenario, count: int = 5, m: int = 5, seed: int = 0) -> Tensor:
+    """Setups on the side of the mirror that centers are searched on, if there is one; some centers lie on the plane."""
+    points = design.sample(count, m, torch.Generator().manual_seed(seed))
+    return design.parameterization(points)
 
 
-def asked(out: Path, template: Path, *more: str, both: bool = True) -> list[str]:
-    """The command line of a run; the first objective is minimized and counts twice, the second is maximized."""
-    names = [str(template.parent / name) for name in ("s.npy", "lift.npy")]
-    sensitivity = [f"scenario.sensitivity=[{','.join(names)}]"] if both else []
-    weighed = ["scenario.objective=[minimize,maximize]", "scenario.objective_weights=[2,1]"] if both else []
-    mesh = ["scenario=mesh", f"scenario.template={template}", "scenario.symmetry=y", "scenario.symmetry_at=0"]
-    return [f"hydra.run.dir={out}", *mesh, *sensitivity, *weighed, f"kernel.support={SUPPORT}", "quiet=true", *more]
+def numpy_potentials(design: Scenario, C: np.ndarray) -> list[float]:
+    """P of each objective of one setup by an SVD of each block of U."""
+    X, roots = design.vertices.numpy(), design.weights.sqrt().numpy()[:, None]
+    blend = 1.0 if design.blend is None else design.blend.numpy()[:, None]
+    parts = [([0, 1, 2], blend * phi(X, C))]
+    if design.mirror is not None:
+        off = C[C[:, 1] != 0]
+        plus, minus = phi(X, C) + phi(X, C * (1, -1, 1)), phi(X, off) - phi(X, off * (1, -1, 1))
+        parts = [([0, 2], blend * plus), ([1], blend * minus)]
+    found = []
+    for g in design.fields.numpy():
+        reached = 0.0
+        for components, U in parts:
+            left, sigma, _ = np.linalg.svd(roots * U, full_matrices=False)
+            left = left[:, sigma > 1e-13 * sigma[0]]
+            reached += float(np.square(left.T @ (roots * g[:, components])).sum())
+        found.append(reached)
+    return found
 
 
-def given(tmp_path: Path) -> list[str]:
-    return ["method=given", f"method.centers={table(tmp_path / 'mine.csv', HALF, 'x,y,z')}"]
+# --- the scenario ----------------------------------------------------------------------------------------------------
 
 
-def overrides(method: str) -> list[str]:
-    return [f"method={method}", *(f"method.{key}={value}" for key, value in METHODS[method].items())]
-
-
-def potential(record: Record, row: int, g: np.ndarray) -> float:
-    """P of a field [n, 3] of unit norm by plain least squares."""
-    chosen, left = setup(record, row), 0.0
-    roots = np.sqrt(record.weights)[:, None]
-    for components, across, columns in chosen.parities(3):
-        U = roots * chosen.blended(record.vertices, across)[:, columns]
-        wanted = roots * g[:, components]
-        left += np.square(wanted - U @ np.linalg.lstsq(U, wanted, rcond=None)[0]).sum()
-    return 1.0 - float(left)
-
-
-def test_fields_are_those_of_each_alone_and_stacked_by_their_shares(template: Path, tmp_path: Path) -> None:
-    assert main(asked(tmp_path / "both", template, *given(tmp_path))) == 0
-    record = read(tmp_path / "both")
-    assert record.gradients is not None
-    for index, (name, way) in enumerate((("s.npy", "minimize"), ("lift.npy", "maximize"))):
-        alone = [f"scenario.sensitivity={template.parent / name}", f"scenario.objective={way}"]
-        assert main(asked(tmp_path / name, template, *given(tmp_path), *alone, both=False)) == 0
-        single = read(tmp_path / name)
-        np.testing.assert_allclose(record.gradients[index], single.gradient, atol=1e-12)
-        assert record.potentials is not None
-        np.testing.assert_allclose(record.potentials[:, index], single.improvement_potential, atol=1e-10)
-        assert single.gradients is None
-    stacked = np.concatenate([np.sqrt(share) * g for share, g in zip(SHARES, record.gradients, strict=True)], axis=1)
-    np.testing.assert_allclose(record.gradient, stacked, atol=1e-12)
-    assert record.objectives == ("s", "lift")
-
-
-def test_one_in_a_list_is_that_one(template: Path, tmp_path: Path) -> None:
-    for name, value in (("a", f"{template.parent / 's.npy'}"), ("b", f"[{template.parent / 's.npy'}]")):
-        more = [*given(tmp_path), f"scenario.sensitivity={value}"]
-        assert main(asked(tmp_path / name, template, *more, both=False)) == 0
-    for file in ("scenario.npz", "setups.npz"):
-        one, other = (dict(np.load(tmp_path / name / file)) for name in ("a", "b"))
-        assert one.keys() == other.keys()
-        for key in one:
-            np.testing.assert_array_equal(one[key], other[key])
-
-
-@pytest.mark.parametrize("method", [name for name in METHODS if name != "given"])
-@pytest.mark.parametrize("combine", ["mean", "worst"])
-def test_every_method_saves_the_potential_of_each(method: str, combine: str, template: Path, tmp_path: Path) -> None:
-    more = [] if combine == "mean" else ["scenario.combine=worst", "scenario.objective_weights=null"]
-    assert main(asked(tmp_path / "run", template, *overrides(method), "centers=4", *more)) == 0
-    record = read(tmp_path / "run")
-    assert record.gradients is not None
-    assert record.potentials is not None
-    for row in (0, len(record.centers) - 1):
-        found = [potential(record, row, g) for g in record.gradients]
-        np.testing.assert_allclose(record.potentials[row], found, atol=1e-8)
-    shares = SHARES if combine == "mean" else np.array([0.5, 0.5])
-    np.testing.assert_allclose(record.improvement_potential, record.potentials @ shares, atol=1e-8)
-    if combine == "worst":
-        assert record.worst_potential is not None
-        np.testing.assert_allclose(record.worst_potential, record.potentials.min(1), atol=1e-12)
-        objectives = np.column_stack([record.regularity, record.worst_potential])
-    else:
-        assert record.worst_potential is None
-        objectives = np.column_stack([record.regularity, record.improvement_potential])
-    better = (objectives[:, None] >= objectives).all(2) & (objectives[:, None] > objectives).any(2)
-    np.testing.assert_array_equal(record.nondominated, ~better.any(0))
-    text = (tmp_path / "run" / "setups.csv").read_text().splitlines()[0]
-    assert "potential_s" in text
-    assert "potential_lift" in text
-
-
-def test_ols_raises_what_is_searched_the_most(template: Path, tmp_path: Path) -> None:
-    found = {}
-    for combine in ("mean", "worst"):
-        more = [*overrides("ols"), "centers=2", f"scenario.combine={combine}", "scenario.objective_weights=null"]
-        assert main(asked(tmp_path / combine, template, *more)) == 0
-        record = read(tmp_path / combine)
-        assert record.potentials is not None
-        found[combine] = record.potentials[record.method == "ols"][0]
-    assert found["worst"].min() >= found["mean"].min() - 1e-9
-    assert found["mean"].mean() >= found["worst"].mean() - 1e-9
-
-
-@pytest.mark.parametrize("combine", ["mean", "worst"])
-def test_bounded_potential_of_each_is_that_of_a_run_of_its_own(combine: str, template: Path, tmp_path: Path) -> None:
-    more = [*given(tmp_path), "criterion.norm=16", f"scenario.combine={combine}"]
-    more += ["scenario.objective_weights=null"] if combine == "worst" else []
-    assert main(asked(tmp_path / "both", template, *more)) == 0
-    record = read(tmp_path / "both")
-    each = []
-    for name, way in (("s.npy", "minimize"), ("lift.npy", "maximize")):
-        alone = [f"scenario.sensitivity={template.parent / name}", f"scenario.objective={way}", "criterion.norm=16"]
-        assert main(asked(tmp_path / name, template, *given(tmp_path), *alone, both=False)) == 0
-        each.append(read(tmp_path / name).bounded_potential)
-    assert record.bounded_potentials is not None
-    np.testing.assert_allclose(record.bounded_potentials, np.column_stack(each), atol=1e-8)
-    wanted = record.bounded_potentials.min(1) if combine == "worst" else record.bounded_potentials @ SHARES
-    np.testing.assert_allclose(record.potential, wanted, atol=1e-12)
-
-
-@pytest.mark.parametrize("combine", ["mean", "worst"])
-@pytest.mark.parametrize("norm", [2.0, 16.0])
-def test_gradients_are_those_of_differences(combine: str, norm: float, template: Path) -> None:
-    names = [str(template.parent / name) for name in ("s.npy", "lift.npy")]
-    node = {**option("scenario", "mesh"), "template": str(template), "sensitivity": names, "support": SUPPORT}
-    node |= {"symmetry": "y", "symmetry_at": 0.0, "combine": combine}
-    problem = run.Run(settings("gradient", centers=2, scenario=node, criterion_norm=norm)).problem()
-    points = torch.tensor([[[0.4, 0.5, 0.3], [-1.1, 0.6, -0.4]]], dtype=torch.float64)
-    spectrum = problem.spectrum(points)
-    found = spectrum.backward(torch.zeros_like(spectrum.sigma), torch.ones(1, dtype=torch.float64))
-    for index in np.ndindex(2, 3):
-        values = []
-        for sign in (1.0, -1.0):
-            moved = points.clone()
-            moved[(0, *index)] += sign * 1e-5
-            values.append(float(problem.evaluate(moved).improvement_potential[0]))
-        assert float(found[(0, *index)]) == pytest.approx((values[0] - values[1]) / 2e-5, abs=5e-5)
-
-
-def test_combinations_by_value() -> None:
-    P = torch.tensor([[0.2, 0.8], [0.9, 0.5]], dtype=torch.float64)
-    mean, worst = Combination((0.75, 0.25)), Combination((0.5, 0.5), worst=True)
-    torch.testing.assert_close(mean(P), torch.tensor([0.35, 0.8], dtype=torch.float64))
-    torch.testing.assert_close(worst(P), torch.tensor([0.2, 0.5], dtype=torch.float64))
-    torch.testing.assert_close(worst.slopes(P), torch.tensor([[1.0, 0.0], [0.0, 1.0]], dtype=torch.float64))
-    value, slopes = worst.smooth(P, 16.0)
-    residual = 1.0 - P
-    torch.testing.assert_close(value, 1.0 - (residual**16).mean(1) ** (1 / 16))
-    assert bool((value >= worst(P)).all())
-    leaf = P.clone().requires_grad_()
-    (1.0 - ((1.0 - leaf) ** 16).mean(1) ** (1 / 16)).sum().backward()
-    torch.testing.assert_close(slopes, leaf.grad)
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_a_step_that_keeps_an_objective_does_not_make_it_worse(
-    rule: str, template: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(asked(tmp_path / "run", template, *given(tmp_path))) == 0
-    record = read(tmp_path / "run")
-    chosen = setup(record, 0)
-    capsys.readouterr()
-    raw = {name: np.load(template.parent / f"{name}.npy") for name in ("s", "lift")}
-    for followed, kept in (("s", "lift"), ("lift", "s")):
-        free = wanted_move(record, chosen, 0.02, rule, followed)
-        move = wanted_move(record, chosen, 0.02, rule, followed, [kept])
-        by_name = {change.name: change for change in move.changes}
-        for name, way in (("s", -1.0), ("lift", 1.0)):
-            change = float((raw[name] * move.reached).sum())
-            assert by_name[name].value == pytest.approx(change, rel=1e-9, abs=1e-9 * np.abs(raw[name]).sum() * 0.1)
-            assert by_name[name].gain == 0.0 or (way * change > 0) == (by_name[name].gain > 0)
-        loss = float((raw[kept] * free.reached).sum()) * (1.0 if kept == "s" else -1.0)
-        size = float(np.abs(raw[kept] * move.reached).sum())
-        now = float((raw[kept] * move.reached).sum()) * (1.0 if kept == "s" else -1.0)
-        assert now <= 1e-9 * size
-        assert by_name[followed].gain > 0
-        if loss <= 0:  # nothing to keep
-            np.testing.assert_allclose(move.reached, free.reached, atol=1e-12)
-        else:
-            assert abs(now) <= 1e-9 * size
-    assert export.main([str(tmp_path / "run"), "--pick", "index:0", "--rule", rule, "--keep", "lift"]) == 0
-    printed = capsys.readouterr().out
-    assert "predicted change of s:" in printed
-    assert "predicted change of lift:" in printed
-    assert (
-        export.main([str(tmp_path / "run"), "--pick", "index:0", "--out", str(tmp_path / "x"), "--keep", "drag"]) == 2
+def test_gradients_are_stacked_by_the_roots_of_their_shares(template: Path) -> None:
+    both, drag, lift = (
+        scenario(template, *names, **more)
+        for names, more in (
+            (("s", "lift"), WEIGHTS | {"objective": ["minimize", "maximize"]}),
+            (("s",), {}),
+            (("lift",), {}),
+        )
     )
-    line = capsys.readouterr().err
-    assert "s" in line
-    assert "lift" in line
+    assert both.objectives is not None
+    assert both.objectives.names == ("s", "lift")
+    assert both.objectives.directions == ("minimize", "maximize")
+    assert both.objectives.shares == (0.75, 0.25)
+    assert both.objectives.norms == (drag.gradient_norm, lift.gradient_norm)
+    expected = torch.cat([0.75**0.5 * drag.gradient, -(0.25**0.5) * lift.gradient], dim=1)
+    torch.testing.assert_close(both.gradient, expected, rtol=0, atol=1e-15)
+    torch.testing.assert_close(both.fields, torch.stack([drag.gradient, -lift.gradient]), rtol=0, atol=1e-15)
+    assert float((both.weights[:, None] * both.gradient.square()).sum()) == pytest.approx(1.0, abs=1e-14)
+    assert both.objective is None
+    assert both.direction_only
+    for alone, known in zip(both.each(), (drag.gradient, -lift.gradient), strict=True):
+        torch.testing.assert_close(alone.gradient, known, rtol=0, atol=1e-15)
+        assert alone.objectives is None
 
 
-def test_what_does_not_fit_gets_one_line(template: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def refused(*more: str) -> str:
-        assert main(asked(tmp_path / "no", template, "method=random", *more)) == 2
-        line = capsys.readouterr().err.strip()
-        assert "\n" not in line
-        return line
+def test_each_is_smoothed_and_held_as_if_it_were_alone(template: Path) -> None:
+    settings: dict[str, Any] = {**HELD, "smooth": "8%", "weights": "area"}
+    both = scenario(template, **settings)
+    assert both.gradient_raw is not None
+    assert both.objectives is not None
+    for field, raw, name in zip(both.fields, both.objectives.fields(both.gradient_raw), ("s", "lift"), strict=True):
+        alone = scenario(template, name, **settings)
+        assert alone.gradient_raw is not None
+        torch.testing.assert_close(field, alone.gradient, rtol=0, atol=1e-15)
+        torch.testing.assert_close(raw, alone.gradient_raw, rtol=0, atol=1e-15)
+    assert "smooth s" in both.notes
+    assert both.notes["smooth lift"].startswith("lift: g is smoothed over")
 
-    assert "3" in refused("scenario.objective_weights=[1,2,3]")
-    assert "objective" in refused("scenario.objective=[minimize,minimize,maximize]")
-    assert "combine" in refused("scenario.combine=median")
-    assert refused("scenario.objective_weights=[1,-1]")
-    assert refused(f"scenario.sensitivity=[{template.parent / 's.npy'},{template.parent / 's.npy'}]")
+
+def test_a_list_of_one_is_that_one(template: Path) -> None:
+    (source,) = sources(template, "s")
+    one, listed = mesh(str(template), sensitivity=source), mesh(str(template), sensitivity=[source])
+    assert listed.objectives is None
+    assert listed.notes == one.notes
+    assert torch.equal(listed.gradient, one.gradient)
+
+
+def test_names_tell_files_of_one_name_apart(template: Path, tmp_path: Path) -> None:
+    files = []
+    for case in ("cruise", "climb"):
+        (tmp_path / case).mkdir()
+        files.append(str(tmp_path / case / "surface.npy"))
+        np.save(files[-1], np.load(sources(template, "s")[0]))
+    found = mesh(str(template), sensitivity=files).objectives
+    assert found is not None
+    assert found.names == ("cruise/surface", "climb/surface")
+    named = mesh(str(template), sensitivity=files, objective_names=["a", "b"]).objectives
+    assert named is not None
+    assert named.names == ("a", "b")
+
+
+MISTAKES: list[tuple[dict[str, Any], str]] = [
+    ({"objective": ["minimize"]}, "1 value for 2 sensitivities"),
+    ({"objective_weights": [1, 2, 3]}, "3 values for 2 sensitivities"),
+    ({"sensitivity_kind": ["nodal", "nodal", "nodal"]}, "3 values for 2 sensitivities"),
+    ({"objective_weights": [1, 0]}, "0 is not a positive number"),
+    ({"objective_weights": -1}, "-1 is not a positive number"),
+    ({"objective_weights": [1, True]}, "True is not a positive number"),
+    ({"objective_weights": [1, float("nan")]}, "nan is not a positive number"),
+    ({"objective_weights": [1, 2], "combine": "worst"}, "which no weight changes"),
+    ({"combine": "best"}, "scenario.combine=best: choose one of mean, worst"),
+    ({"objective": ["minimize", "down"]}, "scenario.objective=down: choose one of minimize, maximize"),
+    ({"objective_names": ["a", "a"]}, "give each objective a name of its own"),
+    ({"objective_names": ["a", " "]}, "give each objective a name of its own"),
+    ({"sensitivity": []}, "name at least one sensitivity"),
+    ({"sensitivity": ["s.npy", "s.npy"]}, "s.npy is listed 2 times"),
+    ({"sensitivity": ["s.npy", ["x"]]}, r"\['x'\] is not the name of an array"),
+    ({"sensitivity": ["s.npy", ""]}, "an empty name is not the name"),
+    ({"sensitivity": ["lift.npy", "nowhere"]}, "scenario.sensitivity=nowhere: the mesh has no such array"),
+    ({"sensitivity": "s.npy", "combine": "worst"}, "scenario.combine is for several sensitivities"),
+    ({"sensitivity": "s.npy", "objective_weights": 2}, "scenario.objective_weights is for several sensitivities"),
+    ({"sensitivity": ["s.npy"], "objective_names": ["a"]}, "scenario.objective_names is for several sensitivities"),
+]
+
+
+@pytest.mark.parametrize(("settings", "message"), MISTAKES, ids=[message[:30] for _, message in MISTAKES])
+def test_a_mistake_is_one_line_with_both_lengths(
+    settings: dict[str, Any], message: str, template: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(template.parent)
+    with pytest.raises(UserError, match=message) as caught:
+        mesh(str(template), **{"sensitivity": ["s.npy", "lift.npy"], **settings})
+    assert "\n" not in str(caught.value)
+
+
+def test_an_antisymmetric_objective_is_named(template: Path) -> None:
+    x = np.load(sources(template, "s")[0])
+    np.save(template.parent / "odd.npy", x * (1, 0, 0) * np.sign(x[:, 1:2]))
+    with pytest.raises(UserError, match="the wanted displacement of odd is antisymmetric"):
+        scenario(template, "s", "odd", **MIRRORED)
+
+
+# --- values ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("backend", ["eager", "fused"])
+@pytest.mark.parametrize("manipulation", ["indirect", "direct"])
+@pytest.mark.parametrize("case", CASES, ids=["plain", "held", "mirrored", "mirrored and held"])
+def test_potentials_are_those_of_an_svd(case: dict[str, Any], manipulation: str, backend: str, template: Path) -> None:
+    mean, worst = (scenario(template, **case, **more) for more in (WEIGHTS, WORST))
+    C = setups(mean)
+    expected = np.array([numpy_potentials(mean, centers) for centers in C.numpy()])
+    for design, combined in ((mean, expected @ (0.75, 0.25)), (worst, expected.min(1))):
+        evaluate = evaluator_of(design, Wendland(SUPPORT), manipulation, backend)
+        for scores, each in (evaluate.of_each(C), evaluate.definition_of_each(C)):
+            np.testing.assert_allclose(each.numpy(), expected, atol=1e-10)
+            np.testing.assert_allclose(scores.improvement_potential.numpy(), combined, atol=1e-10)
+        spectrum = evaluate.spectrum(C)
+        np.testing.assert_allclose(spectrum.potentials.numpy(), expected, atol=1e-10)
+        np.testing.assert_allclose(spectrum.potential.numpy(), combined, atol=1e-10)
+        np.testing.assert_allclose(evaluate(C).improvement_potential.numpy(), combined, atol=1e-10)
+    stacked = Evaluator(mean.vertices, mean.gradient, Wendland(SUPPORT), manipulation, mean.weights, blend=mean.blend)
+    if mean.mirror is None:  # the mean is P of the stacked gradient
+        np.testing.assert_allclose(stacked(C).improvement_potential.numpy(), expected @ (0.75, 0.25), atol=1e-10)
+
+
+def test_ill_conditioned_and_deficient_setups_have_potentials_too(template: Path) -> None:
+    design = scenario(template, **WORST)
+    C = setups(design, 3)
+    C[0, 1] = C[0, 0] + 1e-9  # a further pass, or QR
+    C[1, 1] = C[1, 0]  # rank 4
+    C[2, 2, 0] = torch.nan
+    for kernel in (Wendland(SUPPORT), Cubic()):
+        evaluate = evaluator_of(design, kernel, "indirect", "eager")
+        scores, each = evaluate.of_each(C)
+        for i in range(2):
+            alone = [evaluator_of(one, kernel, "indirect", "eager").definition(C[i]) for one in design.each()]
+            expected = [float(one.improvement_potential) for one in alone]
+            np.testing.assert_allclose(each[i].numpy(), expected, atol=1e-7)
+            assert float(scores.improvement_potential[i]) == float(each[i].min())
+        assert bool(scores.failed[2])
+        assert not each[2].any()
+        assert evaluate.failed_evaluations == 1
+    assert evaluator_of(design, Wendland(SUPPORT), "indirect", "eager").of_each(C[:0])[1].shape == (0, 2)
+
+
+@pytest.mark.parametrize("case", CASES[::2], ids=["plain", "mirrored"])
+def test_bounded_potentials_are_those_of_each_alone(case: dict[str, Any], template: Path) -> None:
+    mean, worst = (scenario(template, **case, **more) for more in (WEIGHTS, WORST))
+    kernel, C = Wendland(SUPPORT), setups(mean, 3)
+    alone = [bounded_of(scenario(template, name, **case), kernel, 16.0, mean.mirror) for name in ("s", "lift")]
+    expected = torch.stack([one.definition(C) for one in alone], dim=1)
+    for design, combined in (
+        (mean, expected @ torch.tensor([0.75, 0.25], dtype=torch.float64)),
+        (worst, expected.amin(1)),
+    ):
+        plain = evaluator_of(design, kernel, "indirect", "eager")
+        evaluate = BoundedEvaluator(plain, [bounded_of(one, kernel, 16.0, one.mirror) for one in design.each()])
+        scores, each = evaluate.definition_of_each(C)
+        torch.testing.assert_close(each, expected, rtol=1e-9, atol=0)
+        torch.testing.assert_close(scores.improvement_potential, combined, rtol=1e-9, atol=0)
+        torch.testing.assert_close(evaluate(C).improvement_potential, combined, rtol=2e-6, atol=0)
+        torch.testing.assert_close(scores.regularity, plain.definition(C).regularity, rtol=0, atol=0)
+        first = evaluate.spectrum(C)
+        assert first.near is not None
+        assert first.near.shape[:2] == (3, 2)
+        again = evaluate.spectrum(C, first.near)
+        torch.testing.assert_close(again.potentials, first.potentials, rtol=1e-9, atol=0)
+        broken = C.clone()
+        broken[1, 0, 0] = torch.inf
+        scores, each = evaluate.of_each(broken)
+        assert scores.failed.tolist() == [False, True, False]
+        assert not each[1].any()
+
+
+# --- gradients -------------------------------------------------------------------------------------------------------
+
+
+def evaluators(design: Scenario, kernel: Kernel, manipulation: str) -> list[Evaluator]:
+    plain = evaluator_of(design, kernel, manipulation, "eager")
+    return [plain, BoundedEvaluator(plain, [bounded_of(one, kernel, 16.0, one.mirror) for one in design.each()])]
+
+
+@pytest.mark.parametrize("combine", [WEIGHTS, WORST], ids=["mean", "worst"])
+@pytest.mark.parametrize(
+    ("case", "manipulation"), [({}, "direct"), (HELD, "indirect"), ({**MIRRORED, **HELD}, "direct")]
+)
+def test_gradients_are_those_of_finite_differences(
+    case: dict[str, Any], manipulation: str, combine: dict[str, Any], template: Path
+) -> None:
+    design = scenario(template, **case, **combine)
+    C = setups(design, 3, seed=3)
+    way = torch.randn(C.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    if design.mirror is not None:  # centers on the plane stay there
+        way[..., 1] = torch.where(design.mirror.on_plane(C), 0.0, way[..., 1])
+    mixed = torch.tensor([0.3, -1.2], dtype=torch.float64)
+    for evaluate, tolerance in zip(evaluators(design, Wendland(SUPPORT), manipulation), (1e-7, 1e-6), strict=True):
+        spectrum = evaluate.spectrum(C)
+        assert float((spectrum.potentials[:, 0] - spectrum.potentials[:, 1]).abs().min()) > 1e-3  # away from ties
+        none, h = torch.zeros_like(spectrum.sigma), 1e-5
+        ahead, behind = (evaluate.definition_of_each(C + s * h * way) for s in (1, -1))
+        found = spectrum.backward(none, torch.ones(len(C), dtype=torch.float64))
+        expected = (ahead[0].improvement_potential - behind[0].improvement_potential) / (2 * h)
+        torch.testing.assert_close((found * way).flatten(1).sum(1), expected, rtol=tolerance, atol=tolerance)
+        found = spectrum.backward(none, mixed.expand(len(C), 2))
+        expected = ((ahead[1] - behind[1]) / (2 * h)) @ mixed
+        torch.testing.assert_close((found * way).flatten(1).sum(1), expected, rtol=tolerance, atol=tolerance)
+
+
+def test_the_smooth_least_potential_is_near_the_least_and_has_its_gradient() -> None:
+    P = torch.rand(40, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    P[0] = 0.6
+    combination = Combination((0.2, 0.3, 0.5), worst=True)
+    for sharpness in (16.0, 64.0):
+        value, slopes = combination.smooth(P, sharpness)
+        assert (value >= P.amin(1) - 1e-15).all()
+        assert (1.0 - value >= (1.0 - P.amin(1)) * 3 ** (-1.0 / sharpness) - 1e-15).all()
+        assert float(value[0]) == pytest.approx(0.6, abs=1e-14)
+        assert slopes[0].tolist() == pytest.approx([1 / 3] * 3)
+        for j in range(3):
+            step = torch.zeros_like(P)
+            step[:, j] = 1e-6
+            ahead, behind = (combination.smooth(P + s * step, sharpness)[0] for s in (1, -1))
+            torch.testing.assert_close((ahead - behind) / 2e-6, slopes[:, j], rtol=1e-6, atol=1e-8)
+    mean = Combination((0.2, 0.3, 0.5))
+    value, slopes = mean.smooth(P, 16.0)
+    torch.testing.assert_close(value, P @ torch.tensor([0.2, 0.3, 0.5], dtype=torch.float64))
+    assert slopes[7].tolist() == [0.2, 0.3, 0.5]
+
+
+# --- heuristics and coarse designs -----------------------------------------------------------------------------------
+
+
+def textbook(columns: np.ndarray, fields: list[np.ndarray], count: int, worst: bool) -> list[int]:
+    """Greedy picks by definition: at each pick P of every objective by an SVD, for every candidate."""
+    chosen: list[int] = []
+    for _ in range(count):
+        values = []
+        for candidate in range(columns.shape[1]):
+            U = columns[:, [*chosen, candidate]]
+            left, sigma, _ = np.linalg.svd(U, full_matrices=False)
+            left = left[:, sigma > 1e-10 * sigma[0]]
+            if left.shape[1] < U.shape[1]:
+                values.append(-1.0)
+                continue
+            P = [np.square(left.T @ g).sum() / np.square(g).sum() for g in fields]
+            values.append(min(P) if worst else float(np.mean(P)))
+        chosen.append(int(np.flatnonzero(np.array(values) >= max(values) - 1e-9)[0]))
+    return chosen
+
+
+@pytest.mark.parametrize("worst", [False, True])
+def test_ols_is_greedy_on_the_mean_or_on_the_least(worst: bool, template: Path) -> None:
+    design = scenario(template, "s", "lift", "climb", **(WORST if worst else {}))
+    low, high = design.search_box
+    candidates = grid_candidates(low, high, 5)
+    columns = phi(design.vertices.numpy(), candidates.numpy())
+    expected = textbook(columns, list(design.fields.numpy()), 6, worst)
+    table = torch.from_numpy(columns)
+
+    def looked_up(centers: Tensor) -> Tensor:
+        return table[:, torch.cdist(centers, candidates).argmin(1)]
+
+    for memory in (1e9, 0.0):
+        found = ols(looked_up, candidates, design.gradient, 6, groups=3 if worst else 1, memory=memory)
+        assert found.indices.tolist() == expected
+    left, _, _ = np.linalg.svd(columns[:, expected], full_matrices=False)
+    P = [np.square(left.T @ g).sum() for g in design.fields.numpy()]
+    assert float(found.gains.sum()) == pytest.approx(min(P) if worst else np.mean(P), rel=1e-9)
+    other = textbook(columns, list(design.fields.numpy()), 6, not worst)
+    assert other != expected
+
+
+@pytest.mark.parametrize("worst", [False, True])
+def test_the_nested_sequence_is_greedy_on_bounded_potentials(worst: bool, template: Path) -> None:
+    design = coarsened(scenario(template, **(WORST if worst else {})), 60)
+    kernel, candidates = Wendland(SUPPORT), grid_candidates(*design.search_box, 3)
+    bounded = [bounded_of(one, kernel, 16.0) for one in design.each()]
+    combination, chosen = Combination.of(design.objectives), []
+    for _ in range(3):
+        values = []
+        for i in range(len(candidates)):
+            setup = candidates[torch.tensor([*chosen, i])][None]
+            values.append(float(combination(torch.stack([one.values(setup, gap=0.0) for one in bounded], dim=1))))
+        values = [-1.0 if i in chosen or not np.isfinite(value) else value for i, value in enumerate(values)]
+        chosen.append(int(np.flatnonzero(np.array(values) >= max(values) - 1e-9)[0]))
+
+    def columns(centers: Tensor) -> Tensor:
+        return torch.from_numpy(phi(design.vertices.numpy(), centers.numpy()))
+
+    found = nested(bounded, columns, lambda c: c, candidates, 3, tried=len(candidates), combination=combination)
+    assert found.indices.tolist() == chosen
+    screened = nested(bounded, columns, lambda c: c, candidates, 3, combination=combination)
+    assert float(screened.potential[-1]) >= 0.9 * float(found.potential[-1])
+
+
+def test_each_objective_of_a_coarse_design_is_matched_by_itself(template: Path) -> None:
+    full = scenario(template, **WORST)
+    fewer = coarsened(full, 40)
+    C, kernel = setups(full, 20), Wendland(SUPPORT)
+    expected = evaluator_of(full, kernel, "indirect", "eager").of_each(C)[1]
+    before = evaluator_of(fewer, kernel, "indirect", "eager").of_each(C)[1]
+    scaled = matched(fewer, before, expected)
+    after = evaluator_of(scaled, kernel, "indirect", "eager").of_each(C)[1]
+    for j, (one, other) in enumerate(zip(fewer.each(), scaled.each(), strict=True)):
+        alone = matched(one, before[:, j], expected[:, j])
+        torch.testing.assert_close(other.gradient, alone.gradient, rtol=1e-12, atol=1e-15)
+        factor = after[:, j] / before[:, j]
+        torch.testing.assert_close(factor, factor[:1].expand_as(factor), rtol=1e-9, atol=0)
+        assert float((after[:, j] - expected[:, j]).norm()) <= float((before[:, j] - expected[:, j]).norm()) + 1e-12
+    assert [float(p) for p in itertools.chain(*after[:1])] != [float(p) for p in itertools.chain(*before[:1])]

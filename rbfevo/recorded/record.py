@@ -141,8 +141,8 @@ class Record:
 
     @property
     def potential_symbol(self) -> str:
-        """P, or P_16; of several objectives mean P, or least P."""
-        return f"{self._combined}{self.symbol_of_each}"
+        """P, or P_16; of several objectives mean P, or min P."""
+        return f"{self._combined.replace('minimum', 'min')}{self.symbol_of_each}"
 
     @property
     def symbol_of_each(self) -> str:
@@ -155,7 +155,7 @@ class Record:
     @property
     def _combined(self) -> str:
         """What the names of potentials begin with."""
-        return "" if self.gradients is None else "mean " if self.worst_potential is None else "least "
+        return "" if self.gradients is None else "mean " if self.worst_potential is None else "minimum "
 
     @property
     def combination(self) -> str:

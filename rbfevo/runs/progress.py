@@ -132,7 +132,7 @@ class Reporter:
         if several:
             P = f"mean {plain}"
         if "worst_potential" in table:
-            potential, P = table["worst_potential"], f"least {plain}"
+            potential, P = table["worst_potential"], f"min {plain}"
         objectives = np.stack((table["regularity"], potential), axis=1)
         names = list(dict.fromkeys(table["method"].tolist()))
         shown = Table("method", "setups", "best R", f"best {P}", "hypervolume")

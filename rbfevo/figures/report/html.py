@@ -31,6 +31,8 @@ def page(record: Record, directory: Path) -> str:
     volume, symmetry = record.summary.get("hypervolume"), record.summary.get("symmetry")
     if isinstance(volume, int | float):
         facts.append(f"hypervolume {volume:.4g}")
+    if record.objectives:
+        facts.append(record.combination)
     if record.summary.get("seed") is not None:
         facts.append(f"seed {record.summary['seed']}")
     if isinstance(symmetry, dict):

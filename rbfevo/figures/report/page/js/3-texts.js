@@ -49,7 +49,7 @@ function potentialText(setup, mesh) {
   if (setup.each.length) {
     const gains = eachOf(setup, (value) => percent(Math.sqrt(Math.max(0, value)))).join(", ");
     const size = setup.run.bounded ? "with the same bound on the displacement" : "of the same size";
-    return `The ${setup.run.objectives.combination}. To first order, the best step within reach for each alone gains of what a step ${size} with all vertices free gains: ${gains}.`;
+    return `Of the objectives' own potentials it is the ${setup.run.objectives.combination}. To first order, the best step within reach for each alone gains of what a step ${size} with all vertices free gains: ${gains}.`;
   }
   if (setup.run.bounded) return `To first order, the best step within reach gains ${percent(Math.sqrt(Math.max(0, setup.P)))} of what a step with all vertices free gains, both with the same bound on the displacement: for a large p, on its largest vector.`;
   const left = percent(Math.sqrt(Math.max(0, 1 - setup.P)));
@@ -90,7 +90,8 @@ function nextSteps(setup, mesh) {
   const fit = mesh.direction || setup.run.mirror ? "" : `\npython -m rbfevo.fit ${place} --pick index:${setup.row}`;
   return el("div", {}, el("p", {}, "To continue with the chosen setup, in the directory of this page:"),
     el("pre", {}, `${pick}${fit}\npython -m rbfevo.show ${place} --pick index:${setup.row}`),
-    el("p", {}, "The first command writes its control points for spreadsheets, ParaView, NumPy and PyGeM" + (fit ? ", the second carries out a trial optimization" : "") + ", the last shows it in a window."));
+    el("p", {}, "The first command writes its control points for spreadsheets, ParaView, NumPy and PyGeM" + (fit ? ", the second carries out a trial optimization" : "") + ", the last shows it in a window." +
+      (setup.each.length ? " Its step follows the weighted sum of the sensitivities, or one of them with --objective NAME; with --keep NAME an objective gets no worse." : "")));
 }
 
 /** How one run was made. */
