@@ -124,7 +124,8 @@ class Deformation(om.ExplicitComponent):
             point, column = np.nonzero(columns)
             entries.append((3 * point + axis, own[column], columns[point, column]))
         rows, columns, values = (np.concatenate(part) for part in zip(*entries, strict=True))
-        self.declare_partials(output, parameters, rows=rows, cols=columns, val=values)
+        if len(rows):  # the mesh is within reach
+            self.declare_partials(output, parameters, rows=rows, cols=columns, val=values)
         if initial is not None:
             every = np.arange(self.points.size)
             self.declare_partials(output, initial, rows=every, cols=every, val=1.0)
@@ -152,14 +153,14 @@ class Deformation(om.ExplicitComponent):
         if mode == "fwd":
             if parameters in d_inputs:
                 d_outputs[output] += self.displacement(d_inputs[parameters]).ravel()
-            if initial in d_inputs:
+            if initial is not None and initial in d_inputs:
                 d_outputs[output] += d_inputs[initial]
             return
         if parameters in d_inputs:
             pulled = self.displacement.transposed(d_outputs[output].reshape(-1, 3))
             shared = self.options["distributed"] and self.comm.size > 1
             d_inputs[parameters] += self.comm.allreduce(pulled) if shared else pulled
-        if initial in d_inputs:
+        if initial is not None and initial in d_inputs:
             d_inputs[initial] += d_outputs[output]
 
     def rows(self, parameters: Array) -> Array:

@@ -6,6 +6,7 @@ symmetry. The design surface is all the others.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,7 +19,6 @@ from numpy.typing import NDArray
 INNER, OUTER, HALF = 60.0, 100.0, 20.0  # radii, and half the width
 LOAD = 10_000.0  # of the whole bracket
 YOUNG, POISSON = 210_000.0, 0.3
-CELLS = (24, 6, 3)  # along the ring, across it, and over half the width
 
 
 class Bracket(NamedTuple):
@@ -35,8 +35,8 @@ class Bracket(NamedTuple):
     held: NDArray[np.bool_]
 
 
-def bracket(cells: tuple[int, int, int] = CELLS) -> Bracket:
-    """The bracket with a number of cells along its three directions."""
+def bracket(cells: Sequence[int]) -> Bracket:
+    """The bracket with numbers of cells along the ring, across it, and over half its width."""
     mesh = skfem.MeshHex.init_tensor(*(np.linspace(0.0, 1.0, count + 1) for count in cells))
     along, across, up = mesh.p
     radius, angle = INNER + (OUTER - INNER) * across, 0.5 * np.pi * (1.0 - along)

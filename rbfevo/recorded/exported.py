@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 import zlib
 from pathlib import Path
@@ -27,7 +28,7 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
         UserError: if the file is missing or is no export, or its setup is not of RBFs.
     """
     try:
-        archive = np.load(path, allow_pickle=False)
+        archive = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
         arrays = {} if isinstance(archive, np.ndarray) else dict(archive)
     except FileNotFoundError:
         raise UserError(f"{path}: no such file") from None
