@@ -101,12 +101,12 @@ class Deformation(om.ExplicitComponent):
         self.points = self.mesh.points
         self._check = options["check_cells"] and bool(solids(self.mesh.cells))
         parameters, output, initial = self._names()
-        parts = options["distributed"]
+        parts, tagged = options["distributed"], {"tags": ["mphys_coordinates"]}  # which MPhys promotes
         zero, place = np.zeros(len(self._parameters)), self.points.ravel()
         self.add_input(parameters, val=zero, distributed=False, desc="parameters of the setup")
-        self.add_output(output, val=place, distributed=parts, desc="coordinates of the deformed points")
+        self.add_output(output, val=place, distributed=parts, desc="coordinates of the deformed points", **tagged)
         if initial is not None:
-            self.add_input(initial, val=place, distributed=parts, desc="coordinates that displacements are added to")
+            self.add_input(initial, val=place, distributed=parts, desc="coordinates to displace", **tagged)
         entries = len(self._parameters) * len(self.points)
         free = options["matrix_free"]
         self.matrix_free = options["distributed"] or (entries > ENTRIES if free is None else free)
@@ -143,9 +143,7 @@ class Deformation(om.ExplicitComponent):
         if self._check and (turned := doubts.inverted(self.mesh, moved.real)):
             raise om.AnalysisError(f"{self.pathname or type(self).__name__}: {turned}")
 
-    def compute_jacvec_product(
-        self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str, *_: Any
-    ) -> None:
+    def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str, *_: Any) -> None:
         """Add dX' = dX + U dP, or its transpose."""
         parameters, output, initial = self._names()
         if output not in d_outputs:
@@ -164,7 +162,7 @@ class Deformation(om.ExplicitComponent):
             d_inputs[initial] += d_outputs[output]
 
     def rows(self, parameters: Array) -> Array:
-        """What the parameters [r] are to `rbfevo.apply`: displacements [m, 3] of centers, or weights of an indirect run."""
+        """Rows [m, 3] for `rbfevo.apply`: displacements of centers or, of an indirect run, weights."""
         return spatial(self._parameters.rows(np.asarray(parameters, np.float64)))
 
     def flat(self, rows: Array) -> Array:

@@ -92,7 +92,12 @@ def test_derivatives_by_all_kinds_of_nodes_are_those_of_finite_differences(case:
     corner = int(np.flatnonzero(body.loaded & case.design)[0])
     inside = int(np.flatnonzero(~case.design & ~body.loaded & ~body.supports.any(axis=1)).tolist()[0]) if (
         ~case.design & ~body.loaded & ~body.supports.any(axis=1)).any() else corner  # fmt: skip
-    chosen = {corner, inside, int(np.flatnonzero(body.supports[:, 0])[1]), int(np.flatnonzero(case.design & ~case.held)[3])}
+    chosen = {
+        corner,
+        inside,
+        int(np.flatnonzero(body.supports[:, 0])[1]),
+        int(np.flatnonzero(case.design & ~case.held)[3]),
+    }
     for step in (*[(node, None) for node in chosen], (None, rng.normal(size=points.shape))):
         node, along = step
         if along is None:

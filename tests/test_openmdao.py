@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from grids import box, hexahedra, write_su2
+from grids import write_su2
 from test_columns import MIRRORS, field
 from test_export import CASES, a_run, spatial
 from test_volume import bump_run, half_box, points_of
@@ -28,7 +28,14 @@ from rbfevo.openmdao import Deformation  # noqa: E402
 ROOT = Path(__file__).parents[1]
 ROUND = {"planar": {"axis": "z", "at": 0.0}}
 RUNS = CASES | {
-    "held": {"d": 3, "kernel": "wendland", "manipulation": "direct", "symmetry": MIRRORS[1], "on": 2, "hold_width": 0.4},
+    "held": {
+        "d": 3,
+        "kernel": "wendland",
+        "manipulation": "direct",
+        "symmetry": MIRRORS[1],
+        "on": 2,
+        "hold_width": 0.4,
+    },
     "planar": {"d": 3, "kernel": "wendland", "manipulation": "direct", "symmetry": MIRRORS[1], "on": 1, **ROUND},
 }
 FREE = {"plane": 6, "plane, log": 6, "mirrored plane": 6, "space": 18, "cubic": 18, "mirrored": 16,
@@ -99,8 +106,10 @@ def test_the_coordinates_are_those_that_apply_writes(name: str, tmp_path: Path) 
 
 @pytest.mark.parametrize("matrix_free", [False, True])
 @pytest.mark.parametrize("orthogonalized", [False, True])
-@pytest.mark.parametrize("name", [name for name in RUNS if "mirrored" != name])
-def test_openmdao_finds_the_derivatives_exact(name: str, orthogonalized: bool, matrix_free: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", [name for name in RUNS if name != "mirrored"])
+def test_openmdao_finds_the_derivatives_exact(
+    name: str, orthogonalized: bool, matrix_free: bool, tmp_path: Path
+) -> None:
     run = made(tmp_path / "run", name)
     if orthogonalized and name in ("held", "planar", "space"):
         spread(run)
@@ -312,14 +321,16 @@ def test_cells_turned_inside_out_are_an_analysis_error(tmp_path: Path) -> None:
     with pytest.raises(om.AnalysisError, match=r"inside out or flat.*multiply the displacements by less than 0\.\d+"):
         problem(run, mesh=path, size=3.0)
     problem(run, mesh=path, size=3.0, check_cells=False)
-    with pytest.warns(om.OpenMDAOWarning, match="the mesh lies outside the box of the run|within the support radius"):
-        np.save(tmp_path / "far.npy", mesh.points + 50.0)
+    np.save(tmp_path / "far.npy", mesh.points + 50.0)
+    with pytest.warns(om.OpenMDAOWarning, match="within the support radius"):
         problem(run, mesh=tmp_path / "far.npy")
 
 
 def test_a_design_that_leaves_a_symmetry_plane_is_refused(tmp_path: Path) -> None:
     run, _, path = bump(tmp_path, symmetry=None)
-    with pytest.raises(UserError, match=r"a\.su2: with parameters of 1, 5 points of the design surface leave a symmetry plane"):
+    with pytest.raises(
+        UserError, match=r"a\.su2: with parameters of 1, 5 points of the design surface leave a symmetry plane"
+    ):
         problem(run, mesh=path, volume="laplace", slip=["ymin"])
 
 
@@ -340,7 +351,10 @@ def test_mistakes_are_one_line(tmp_path: Path) -> None:
         ({"pick": None}, "run: choose a setup by pick: knee, best-regularity"),
         ({"pick": "nee"}, "pick=nee: there is no such pick"),
         ({"run": exported}, r"setup\.npz holds one setup; leave pick=index:0 out"),
-        ({"run": tmp_path / "other.npz", "pick": None}, r"other\.npz is no setup\.npz of rbfevo\.export: it lacks cent"),
+        (
+            {"run": tmp_path / "other.npz", "pick": None},
+            r"other\.npz is no setup\.npz of rbfevo\.export: it lacks cent",
+        ),
         ({"run": cloud, "pick": None}, r"a\.npy is no setup\.npz of rbfevo\.export: it lacks centers, "),
         ({"run": tmp_path / "broken.npz", "pick": None}, r"broken\.npz cannot be read: damaged\?"),
         ({"run": tmp_path / "ffd.npz", "pick": None}, r"ffd\.npz: its representation, ffd, cannot be rebuilt"),
@@ -373,7 +387,9 @@ def test_setups_without_such_parameters_are_refused(tmp_path: Path) -> None:
     twice = a_run(tmp_path / "indirect" / "run", d=3)
     np.savez(twice / "setups.npz", **arrays)
     problem(twice)
-    with pytest.raises(UserError, match="the columns of U depend on each other, so there are no orthonormal parameters"):
+    with pytest.raises(
+        UserError, match="the columns of U depend on each other, so there are no orthonormal parameters"
+    ):
         problem(twice, orthogonalized=True)
     with pytest.raises(UserError, match="center 0 lies on the symmetry plane y = 0 and cannot leave it"):
         problem(made(tmp_path / "mirrored", "mirrored")).model.g.flat(np.ones((6, 3)))

@@ -9,7 +9,8 @@ share div w, and the area of a loaded face by div w - n . grad w n. u is its own
 be solved:
 
     dJ = 2 df(u) - da(u, u)
-       = 2 integral over loaded faces of (t . u) (div w - n . grad w n) + integral of (2 grad u^T s - (s : e) I) : grad w.
+       = 2 integral over loaded faces of (t . u) (div w - n . grad w n)
+         + integral of (2 grad u^T s - (s : e) I) : grad w.
 
 With the quadrature points of a and f this is the derivative of the discrete J, to rounding.
 """

@@ -14,10 +14,10 @@ import numpy as np
 from rbfevo.errors import UserError
 
 # python -m rbfevo.advise scenario=mesh scenario.template=outputs/elastic/design.vtp scenario.sensitivity=sensitivity \
-#   scenario.hold=held scenario.hold_width=20 scenario.symmetry=z scenario.symmetry_at=0 hydra.run.dir=outputs/elastic/advice
+#   scenario.hold=held scenario.hold_width=30 scenario.symmetry=z scenario.symmetry_at=0 hydra.run.dir=outputs/advice
 # recommended the settings from manipulation on, before any design was optimized:
 SETTINGS = (
-    *("scenario.sensitivity=sensitivity", "scenario.hold=held", "scenario.hold_width=20"),
+    *("scenario.sensitivity=sensitivity", "scenario.hold=held", "scenario.hold_width=30"),
     *("scenario.symmetry=z", "scenario.symmetry_at=0"),
     *("manipulation=direct", "kernel=wendland", "kernel.support=105.7", "centers=8", "scenario.smooth=10.21"),
     *("criterion.norm=16", "method=gradient"),
@@ -59,7 +59,12 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--pick", default="potential:0.95", help="setup of the run (default: potential:0.95)")
     made.add_argument("--bound", type=float, default=BOUND, help=f"of each parameter, in mm (default: {BOUND:g})")
     made.add_argument(
-        "--cells", type=int, nargs=3, default=(24, 6, 3), metavar="N", help="along the ring, across it, over half its width"
+        "--cells",
+        type=int,
+        nargs=3,
+        default=(24, 6, 3),
+        metavar="N",
+        help="along the ring, across it, over half its width",
     )
     return made
 

@@ -24,7 +24,13 @@ def main(out: Path, picture: Path) -> None:
     for column, (body, name) in enumerate(((before, "before"), (after, "after, the same volume"))):
         plotter.subplot(0, column)
         plotter.add_mesh(
-            body, scalars=STRESS, cmap="viridis", clim=limits, show_edges=True, edge_opacity=0.3, scalar_bar_args=dict(bar)
+            body,
+            scalars=STRESS,
+            cmap="viridis",
+            clim=limits,
+            show_edges=True,
+            edge_opacity=0.3,
+            scalar_bar_args=dict(bar),
         )
         plotter.add_text(name, font_size=14, color="black")
         if column:

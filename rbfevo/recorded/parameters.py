@@ -1,8 +1,8 @@
 """The free parameters of a setup, and a displacement as their linear function, with its transpose.
 
-With the parameters P [m, k] of the run's manipulation a point moves by beta(x) sum_j phi_j(x) w_j, where the weights are
-w = P (indirect) or Psi w = P (direct). Entries of P that a setup cannot have are no parameters: those of a center on
-the symmetry plane across it, and all along the axis of a planar run.
+With the parameters P [m, k] of the run's manipulation a point moves by beta(x) sum_j phi_j(x) w_j, where the weights
+are w = P (indirect) or Psi w = P (direct). Entries of P that a setup cannot have are no parameters: those of a center
+on the symmetry plane across it, and all along the axis of a planar run.
 """
 
 from __future__ import annotations
