@@ -20,6 +20,7 @@ from rbfevo.files import csv_text, npz, refuse_held, write_whole
 from rbfevo.geometry.lengths import number_or_percentage
 from rbfevo.recorded.moves import RULES, Move, places_of, spatial, wanted_move
 from rbfevo.recorded.objectives import index_of
+from rbfevo.recorded.parameters import design_matrix, orthonormal
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import Setup, setup
@@ -204,9 +205,7 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
     if chosen.genotype is not None:
         arrays["genotype"] = chosen.genotype
     for name, across in [("U", False), ("U_across", True)][: 2 if crosses else 1]:
-        U = chosen.blended(record.vertices, across)
-        U = U[:, chosen.off_plane] if across else U
-        U = np.linalg.solve(chosen.psi(across).T, U.T).T if direct and U.size else U
+        U = design_matrix(chosen, record.vertices, across)
         Q, T = orthonormal(U, record.weights)
         arrays |= {name: U, name.replace("U", "Q"): Q, name.replace("U", "T"): T}
     if chosen.hold is not None and record.blend is not None:
@@ -214,18 +213,6 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
     if crosses:
         arrays["across"] = chosen.off_plane
     return arrays
-
-
-def orthonormal(U: Array, weights: Array) -> tuple[Array, Array]:
-    """Q [n, m] and upper triangular T [m, m] of U = Q T with Q^T M Q = I, M the vertex weights [n] of the run.
-
-    With parameters q = T p the columns are those of Q, whose regularity is 1 (Richter et al., GECCO 2018). The
-    diagonal of T is not negative.
-    """
-    root = np.sqrt(weights)[:, None]
-    Q, T = np.linalg.qr(root * U)
-    signs = np.where(np.diag(T) < 0, -1.0, 1.0)
-    return Q * signs / root, signs[:, None] * T
 
 
 def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
