@@ -1,8 +1,8 @@
 """`--keep`: the step under which some objectives get no worse is the best one, beside SciPy's solvers in NumPy.
 
 A step is q = U w under f_i . q >= 0 for each objective i that is kept. Two rules maximize a . q for a quadratic length
-of w, |L w| = 1: the best is H^-1 (b + F mu) with the multipliers mu >= 0 that make it shortest (the dual problem), which
-is a nonnegative least-squares problem. The rule max-norm maximizes a . q / |q|_16, which is a convex problem for SLSQP.
+of w, |L w| = 1: the best is H^-1 (b + F mu) with the multipliers mu >= 0 that make it shortest (the dual problem),
+which is a nonnegative least-squares problem. The rule max-norm maximizes a . q / |q|_16, a convex problem for SLSQP.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.optimize import minimize, nnls
-from tests import several
-from tests.test_given import HALF, table
 
 from rbfevo.recorded.moves import wanted_move
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import Setup, setup
+from tests import several
+from tests.test_given import HALF, table
 
 NAMES = ("s", "lift", "climb")
 SIGNS = {"s": -1.0, "lift": 1.0, "climb": 1.0}  # which way each gets better
