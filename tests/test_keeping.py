@@ -8,6 +8,7 @@ which is a nonnegative least-squares problem. The rule max-norm maximizes a . q 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,6 +18,7 @@ import trimesh
 from scipy.optimize import minimize, nnls
 
 from rbfevo.recorded.moves import wanted_move
+from rbfevo.recorded.objectives import Candidate, best_keeping
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import Setup, setup
 from tests import several
@@ -194,3 +196,23 @@ def test_there_is_something_to_keep(found: Record, template: Path) -> None:
             lost |= {(followed, change.name) for change in move.changes if change.gain < 0}
     assert len(lost) >= 2
     assert {name for followed, name in lost if followed is None}
+
+
+def test_branch_and_bound_finds_the_projection_onto_the_cone() -> None:
+    """In the plain metric the best step is the projection of what rises onto the cone of steps that lose nothing."""
+    drawn = np.random.default_rng(5)
+    several_lost = 0
+    for _ in range(200):
+        rising, fields = drawn.standard_normal((6, 1)), [drawn.standard_normal((6, 1)) for _ in range(4)]
+        F = np.concatenate(fields, axis=1)
+
+        def solve(still: Sequence[int], rising: np.ndarray = rising, F: np.ndarray = F) -> Candidate:
+            lost = F[:, list(still)]
+            found = rising - lost @ np.linalg.lstsq(lost, rising, rcond=None)[0]
+            return Candidate(found, found, float(np.linalg.norm(found)))
+
+        multipliers, _ = nnls(F, -rising[:, 0])
+        expected = rising[:, 0] + F @ multipliers
+        several_lost += int((F.T @ rising < 0).sum() > 1 and (multipliers > 0).sum() < (F.T @ rising < 0).sum())
+        np.testing.assert_allclose(best_keeping(solve, fields).displacement[:, 0], expected, atol=1e-9)
+    assert several_lost > 20  # where not all that lose by the free step are at their bounds in the best one
