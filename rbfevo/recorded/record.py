@@ -121,7 +121,8 @@ class Record:
     @property
     def kept(self) -> int:
         """How many centers, the first ones of each setup, the run was told to keep."""
-        return int(self.summary.get("kept", 0))
+        kept = self.summary.get("kept", 0)
+        return kept if isinstance(kept, int) else 0
 
     @property
     def potential(self) -> Array:
