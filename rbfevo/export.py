@@ -309,7 +309,7 @@ def _changes(options: argparse.Namespace, record: Record, move: Move) -> list[st
         verdict = change.verdict
         if change.name in options.keep:
             verdict = "kept" if change.gain == 0.0 else f"{verdict}, kept without restricting the step"
-        shown = "of unknown size" if change.value is None else f"{change.value:+.4g}"
+        shown = "of unknown size" if change.value is None else "0" if change.value == 0.0 else f"{change.value:+.4g}"
         lines.append(f"predicted change of {change.name}: {shown}: {verdict} (to {change.direction}; to first order)")
     return lines
 
