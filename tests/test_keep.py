@@ -406,7 +406,7 @@ def test_pictures_show_which_centers_were_kept(template: Path, tmp_path: Path) -
 
     def colours(axes: Any) -> list[tuple[float, ...]]:
         (dots,) = [found for found in axes.collections if isinstance(found, PathCollection)][-1:]
-        return [tuple(row) for row in dots.get_facecolor()]
+        return [tuple(row) for row in np.asarray(dots.get_facecolor())]
 
     file = table(tmp_path / "old.csv", POINTS[[0, 3]], "x,y")
     assert run.carry_out(settings("lloyd", keep=str(file), centers=5), tmp_path / "plane") == 0
@@ -421,7 +421,7 @@ def test_pictures_show_which_centers_were_kept(template: Path, tmp_path: Path) -
     assert record.kept == 2
     image = centers.picture(record, opengl=False)
     shown = [row for found in image.axes[0].collections if isinstance(found, PathCollection)
-             for row in found.get_facecolor()]  # fmt: skip
+             for row in np.asarray(found.get_facecolor())]  # fmt: skip
     physical = setup(record, 0).centers_and_images()
     assert len(shown) == len(physical.points)
     assert sum(tuple(row[:3]) == dark[:3] for row in shown) == 3  # one of them and its image, and one on the plane
