@@ -169,7 +169,7 @@ def waiting(stepping: Stepping, show) -> int:
     number, again = stepping.wait()
     line = f"there is no new solution: design {number} still waits for its own"
     if again:
-        raise UserError(f"{line}; if the solver failed, add --failed")
+        raise UserError(f"{line}: give --sensitivity and --objective, or solve the case; if the solver failed, --failed")
     show(f"{line}; its mesh is in {stepping.out}")
     return 0
 

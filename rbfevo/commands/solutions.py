@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -123,22 +124,30 @@ class Reader:
             )
             raise UserError(f"{path}: a vertex is {away:.3g} away from where it should be: {advice}")
 
-    def of_file(self, source: str, original: Template, design: Array, objective: float | None) -> Solution:
-        """The solution in a file or a quantity of one, as `scenario.sensitivity` takes it.
+    def of_file(
+        self, source: str, original: Template, design: Array, objective: float | None, seen: Sequence[str]
+    ) -> Solution | None:
+        """The solution in a file or a quantity of one, as `scenario.sensitivity` takes it; None for one that is `seen`.
 
         Args:
             original: the run's template; design: [n, 3] where its vertices are now; objective: J.
+            seen: identities of solutions.
         """
         path = Path(file_and_name(source)[0])
         if not path.is_file():
             raise UserError(f"--sensitivity {source}: no such file")
+        identity = _identity([path], "", objective)
+        if identity in seen:
+            return None
         deformed = dataclasses.replace(original, vertices=design, arrays={}, cell_arrays={}, meanings={})
         try:
             found = self._nodal(source, deformed)
         except UserError as error:
             message = str(error).replace("scenario.sensitivity=", "", 1).removeprefix(f"{source}: ")
+            message, other, _ = message.partition("; for values of another mesh")
+            message += ": is this the solution of the design that waits for one?" * bool(other)
             raise UserError(f"--sensitivity {source}: {message}") from None
-        return Solution(found, objective, _identity([path], "", objective), source)
+        return Solution(found, objective, identity, source)
 
     def _field(self, template: Template) -> str | None:
         """The array of a case that the run took."""

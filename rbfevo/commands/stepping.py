@@ -21,6 +21,7 @@ from rbfevo.descent.loop import RULES, TOLERANCE
 from rbfevo.errors import UserError
 from rbfevo.files import write_whole
 from rbfevo.meshes.openfoam import case_of, times
+from rbfevo.names import file_and_name
 from rbfevo.recorded.moves import places_of, spatial
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import Setup
@@ -94,12 +95,12 @@ class Stepping:
         if options.case is not None:
             found = self._of_case(design, given)
         elif options.sensitivity is not None:
-            found = self.reader.of_file(options.sensitivity, self._template(), design, given)
+            found = self._of_file(design, given)
         elif self.state.best is None:
             found = Solution(sensitivity.own(self.record), given, f"the run's own {given!r}", "the run's own")
         else:
-            raise UserError("give --sensitivity, that of the last design, and --objective; or --case")
-        if found.identity in self.more["seen"]:
+            found = None
+        if found is None or found.identity in self.more["seen"]:
             return None
         if found.objective is None and self.state.best is not None:
             raise UserError("give --objective, J of the last design: it tells whether the step was good")
@@ -173,10 +174,13 @@ class Stepping:
         value = "" if best.objective is None else f": J = {best.objective:.8g}"
         return f"the best design is {best.number}{value}"
 
-    def _of_case(self, design: Array, given: float | None) -> Solution:
+    def _of_file(self, design: Array, given: float | None) -> Solution | None:
+        return self.reader.of_file(self.options.sensitivity, self._template(), design, given, self.more["seen"])
+
+    def _of_case(self, design: Array, given: float | None) -> Solution | None:
         options = self.options
-        if options.sensitivity is not None and Path(options.sensitivity.partition(":")[0]).is_file():
-            return self.reader.of_file(options.sensitivity, self._template(), design, given)
+        if options.sensitivity is not None and Path(file_and_name(options.sensitivity)[0]).is_file():
+            return self._of_file(design, given)
         found = self.reader.of_case(options.case, options.sensitivity)
         return found if given is None else found._replace(objective=given)
 
