@@ -150,6 +150,8 @@ def carry_out(options: argparse.Namespace) -> None:
         left_to_mover = out.name == FORMS[1]  # which moves the inside in its own way
         quality = None if faces is None or left_to_mover else qualities(mesh.points, moved, faces)
         found = [*doubts.warnings(record, chosen, mesh, moved, None if carried else length, largest), *found]
+        if beyond := doubts.beyond_bounds(record, chosen.displacement(record.vertices, weights)):
+            found.append(beyond)
         if quality and quality[0].non_orthogonality <= 90.0 < quality[1].non_orthogonality:
             found.append("the worst non-orthogonality exceeds 90 degrees: faces of cells are turned over")
         for warning in [*found, *([carried.jump] if carried and carried.jump else [])]:

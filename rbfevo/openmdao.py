@@ -101,8 +101,10 @@ class Deformation(om.ExplicitComponent):
         self.points = self.mesh.points
         self._check = options["check_cells"] and bool(solids(self.mesh.cells))
         parameters, output, initial = self._names()
-        parts, tagged = options["distributed"], {"tags": ["mphys_coordinates"]}  # which MPhys promotes
-        zero, place = np.zeros(len(self._parameters)), self.points.ravel()
+        parts = options["distributed"]
+        tagged: Any = {"tags": ["mphys_coordinates"]}  # which MPhys promotes
+        zero: Any = np.zeros(len(self._parameters))
+        place: Any = self.points.ravel()
         self.add_input(parameters, val=zero, distributed=False, desc="parameters of the setup")
         self.add_output(output, val=place, distributed=parts, desc="coordinates of the deformed points", **tagged)
         if initial is not None:
@@ -130,7 +132,7 @@ class Deformation(om.ExplicitComponent):
             every = np.arange(self.points.size)
             self.declare_partials(output, initial, rows=every, cols=every, val=1.0)
 
-    def compute(self, inputs: Any, outputs: Any, *_: Any) -> None:
+    def compute(self, inputs: Any, outputs: Any, discrete_inputs: Any = None, discrete_outputs: Any = None) -> None:
         """X' = X + U P.
 
         Raises:
@@ -140,10 +142,17 @@ class Deformation(om.ExplicitComponent):
         start = self.points if initial is None else inputs[initial].reshape(-1, 3)
         moved = start + self.displacement(inputs[parameters])
         outputs[output] = moved.ravel()
-        if self._check and (turned := doubts.inverted(self.mesh, moved.real)):
+        if self._check and (turned := doubts.inverted(self.mesh, np.real(moved))):
             raise om.AnalysisError(f"{self.pathname or type(self).__name__}: {turned}")
 
-    def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str, *_: Any) -> None:
+    def compute_jacvec_product(
+        self,
+        inputs: Any,
+        d_inputs: Any,
+        d_outputs: Any,
+        mode: str,
+        discrete_inputs: Any = None,
+    ) -> None:
         """Add dX' = dX + U dP, or its transpose."""
         parameters, output, initial = self._names()
         if output not in d_outputs:
@@ -156,8 +165,9 @@ class Deformation(om.ExplicitComponent):
             return
         if parameters in d_inputs:
             pulled = self.displacement.transposed(d_outputs[output].reshape(-1, 3))
-            shared = self.options["distributed"] and self.comm.size > 1
-            d_inputs[parameters] += self.comm.allreduce(pulled) if shared else pulled
+            comm: Any = self.comm
+            shared = self.options["distributed"] and comm.size > 1
+            d_inputs[parameters] += comm.allreduce(pulled) if shared else pulled
         if initial is not None and initial in d_inputs:
             d_inputs[initial] += d_outputs[output]
 
@@ -176,9 +186,10 @@ class Deformation(om.ExplicitComponent):
     def _mesh(self, record: Record) -> Mesh:
         """The mesh that is deformed."""
         path, points = self.options["mesh"], self.options["points"]
+        comm: Any = self.comm
         if path is not None and points is not None:
             raise UserError("mesh and points are both given: choose one")
-        if self.options["distributed"] and self.comm.size > 1 and points is None:
+        if self.options["distributed"] and comm.size > 1 and points is None:
             raise UserError("distributed: give the points of each process as points")
         if path is not None:
             with meshes.opened(path) as mesh:

@@ -250,10 +250,8 @@ def test_the_picture_has_the_numbers_and_takes_a_logarithmic_axis_where_it_needs
     assert list(sequence.get_ydata()) == [0.1, 0.3, 0.4]  # pyright: ignore[reportArgumentType]
     assert list(of_sequence.get_ydata()) == [1.0, 0.5, pytest.approx(1 / 3)]  # pyright: ignore[reportArgumentType]
     assert list(regularity.get_ydata()) == [0.9, 0.5, 0.2]  # pyright: ignore[reportArgumentType]
-    uprights = [
-        line.get_xdata() for line in left.get_lines() if len(set(line.get_xdata())) == 1 < len(line.get_xdata())
-    ]  # pyright: ignore
-    assert [list(x) for x in uprights] == [[4, 4]]  # pyright: ignore[reportArgumentType]
+    places = [list(np.asarray(line.get_xdata())) for line in left.get_lines()]
+    assert [x for x in places if len(set(x)) == 1 < len(x)] == [[4, 4]]
     assert (left.get_xscale(), right.get_yscale()) == ("log", "linear")
     with_centers(tmp_path / "16", 16, [1e-4], [0.7])
     assert figure.picture(found(tmp_path), nested, "Sweep").axes[1].get_yscale() == "log"

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 import torch
+from matplotlib.collections import PathCollection
+from matplotlib.colors import to_rgba
 
 from rbfevo import advise
 from rbfevo.__main__ import main
+from rbfevo.figures import __main__ as figures
+from rbfevo.figures import centers, style
 from rbfevo.methods.lloyd import _seed, inertia, lloyd
 from rbfevo.methods.nested import nested
 from rbfevo.methods.ols import ols
@@ -22,10 +26,14 @@ from rbfevo.runs.config import build
 from rbfevo.runs.journal import Journal
 from rbfevo.scoring.bounded import BoundedPotential
 from rbfevo.scoring.representations import RBF
+from tests.browsers import opened, settled
 from tests.slabs import saved, strip
 from tests.test_contracts import METHODS, option, settings
 from tests.test_given import HALF, POINTS, notes, on_egg, table
 from tests.test_mesh_runs import SUPPORT, egg
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 KEPT = POINTS[[0, 3, 2]]
 SEARCHES = ("cmaes", "gradient", "nsga2")
@@ -391,3 +399,48 @@ def test_dropping_the_kept_rows_is_the_inverse_of_placing(tmp_path: Path) -> Non
     setups = problem.unflatten(genotypes)
     torch.testing.assert_close(problem.flatten(setups), genotypes, rtol=0, atol=0)
     assert dataclasses.replace(problem, kept=problem.kept[:1]).free == 4
+
+
+def test_pictures_show_which_centers_were_kept(template: Path, tmp_path: Path) -> None:
+    dark, red = to_rgba(style.KEPT), to_rgba(style.RED)
+
+    def colours(axes: Any) -> list[tuple[float, ...]]:
+        (dots,) = [found for found in axes.collections if isinstance(found, PathCollection)][-1:]
+        return [tuple(row) for row in dots.get_facecolors()]
+
+    file = table(tmp_path / "old.csv", POINTS[[0, 3]], "x,y")
+    assert run.carry_out(settings("lloyd", keep=str(file), centers=5), tmp_path / "plane") == 0
+    record = read(tmp_path / "plane")
+    image = centers.picture(record)
+    assert colours(image.axes[0]) == [dark, dark, red, red, red]
+    assert "the 2 kept centers are black" in [text.get_text() for text in image.texts]
+
+    file = table(tmp_path / "half.csv", HALF[[0, 3]], "x,y,z")  # the second one is on the plane
+    assert main(on_egg(tmp_path / "egg", template, "", "method=lloyd", "centers=4", f"keep={file}")) == 0
+    record = read(tmp_path / "egg")
+    assert record.kept == 2
+    image = centers.picture(record, opengl=False)
+    shown = [row for found in image.axes[0].collections if isinstance(found, PathCollection)
+             for row in found.get_facecolors()]  # fmt: skip
+    physical = setup(record, 0).centers_and_images()
+    assert len(shown) == len(physical.points)
+    assert sum(tuple(row[:3]) == dark[:3] for row in shown) == 3  # one of them and its image, and one on the plane
+
+
+def test_the_page_shows_which_centers_were_kept(browser: Browser, template: Path, tmp_path: Path) -> None:
+    file = table(tmp_path / "half.csv", HALF[[0, 3]], "x,y,z")  # the second one is on the plane
+    assert main(on_egg(tmp_path / "egg", template, "", "method=lloyd", "centers=4", f"keep={file}")) == 0
+    assert figures.main([str(tmp_path / "egg"), "--only", "report"]) == 0
+    with opened(browser, tmp_path / "egg" / "report.html") as page:
+        settled(page)
+        script = "() => document.getElementById('space-a').data.slice(1).map((of) => [of.color, [...new Set(of.text)]])"
+        balls = page.evaluate(script)
+        script = (
+            "() => ['--ink', '--grey'].map((of) => getComputedStyle(document.documentElement).getPropertyValue(of))"
+        )
+        ink, grey = (color.strip() for color in page.evaluate(script))
+        assert "given to keep" in (page.text_content("#view-hint") or "")
+    labels = dict(balls)
+    assert [text.split(", given")[0] for text in labels[ink]] == ["center 0", "center 1"]
+    assert [text.split("<br>")[0] for text in labels[grey]] == ["center 0, given to keep, mirrored"]
+    assert sum(len(texts) for color, texts in balls if color not in (ink, grey)) == 4  # two others and their images

@@ -10,7 +10,7 @@ import pytest
 import pyvista as pv
 import torch
 
-from rbfevo import export
+from rbfevo import apply, export
 from rbfevo.__main__ import main
 from rbfevo.recorded.moves import RULES, wanted_move
 from rbfevo.recorded.record import Record, read
@@ -200,7 +200,9 @@ def test_coarse_designs_keep_the_mean_of_the_bounds(template: Path) -> None:
     scenario = build({**node, "max_displacement": str(bounds(template))})
     coarse = coarsened(scenario, 100)
     assert coarse.max_displacement is not None
-    whole, fewer = ((s.weights * s.max_displacement).sum() for s in (scenario, coarse))
+    assert scenario.max_displacement is not None
+    whole = (scenario.weights * scenario.max_displacement).sum()
+    fewer = (coarse.weights * coarse.max_displacement).sum()
     torch.testing.assert_close(whole, fewer)
     left = coarse.vertices[:, 0] < -1.0
     torch.testing.assert_close(coarse.max_displacement[left], torch.full_like(coarse.weights[left], 0.002))
@@ -225,3 +227,27 @@ def test_bounds_that_are_none_get_one_line(template: Path, tmp_path: Path, capsy
     assert "give a positive number" in refused("scenario.max_displacement=0")
     assert "max_displacement" in refused("scenario.max_displacement=nothing")
     assert "it has 3 values per vertex" in refused(f"scenario.max_displacement={template.parent / 's.npy'}")
+
+
+def test_apply_warns_of_displacements_beyond_the_bounds(
+    template: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record = run_on_egg(tmp_path / "run", template, f"scenario.max_displacement={bounds(template)}")
+    picked = [str(tmp_path / "run"), "--pick", "index:0"]
+    assert export.main([*picked, "--step", "0.05", "--out", str(tmp_path / "e")]) == 0
+    written = np.genfromtxt(tmp_path / "e" / "displacements.csv", delimiter=",", names=True)
+    rows = np.column_stack([written[name] for name in ("dx", "dy", "dz")])
+    chosen, most = setup(record, 0), record.max_displacement
+    assert most is not None
+    asked = [*picked, "--mesh", str(template), "--overwrite"]
+    for times, warned in ((1.0, False), (3.0, True)):
+        file = table(tmp_path / "d.csv", times * rows, "dx,dy,dz")
+        capsys.readouterr()
+        assert apply.main([*asked, "--displacements", str(file), "--out", str(tmp_path / "moved.ply")]) == 0
+        line = capsys.readouterr().err
+        lengths = np.linalg.norm(chosen.displacement(record.vertices, chosen.weights(times * rows)), axis=1)
+        beyond, factor = int((lengths > most).sum()), float((most / np.maximum(lengths, 1e-300)).min())
+        assert ("max_displacement" in line) == warned
+        if warned:
+            assert f"{beyond} of {len(most)} vertices of the run's template move farther" in line
+            assert f"multiply the displacements by at most {factor:.4g}" in line

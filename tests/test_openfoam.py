@@ -517,3 +517,20 @@ def test_openfoam_takes_what_is_written(lloyd: Path, tmp_path: Path) -> None:
             subprocess.run(command, cwd=root, env=environment, capture_output=True, text=True, check=True)
         with opened(root) as found:
             np.testing.assert_allclose(found.points, expected, rtol=4e-16, atol=1e-17)
+
+
+def test_adjoint_solvers_name_several_objectives(ducts: Box, tmp_path: Path) -> None:
+    root = case(tmp_path / "case", ducts)
+    other = lid_values(ducts) * np.cos(ducts.points[:, :1]) + 0.0
+    write_points_field(root, "200", "pointSensVecliftESI", other)
+    write_points_field(root, "200", "pointSensNormalliftESI", other[:, 2])  # of lower rank
+    both = template(root, sensitivity=["loss", "lift"])
+    assert both.objectives is not None
+    assert both.objectives.names == ("loss", "lift")
+    k = both.gradient.shape[1] // 2
+    for index, name in enumerate((NAME, "pointSensVecliftESI")):
+        alone = template(root, sensitivity=name)
+        ours = both.gradient[:, index * k : (index + 1) * k]
+        np.testing.assert_allclose(ours, alone.gradient * 0.5**0.5, rtol=1e-12, atol=1e-14)
+    with pytest.raises(UserError, match="drag"):
+        template(root, sensitivity=["loss", "drag"])

@@ -222,8 +222,8 @@ def test_a_planar_sequence_stays_in_the_plane_and_a_bounded_one_has_its_potentia
     C = np.column_stack([table["x"], table["y"], table["z"]])
     assert (C[:, 2] == 0.05).all()
     np.testing.assert_array_equal(C, files["centers"][0])
-    tensors = [torch.from_numpy(files[name]) for name in ("vertices", "gradient")]
-    bounded = BoundedPotential(*tensors, RBF(Wendland(1.2)), 16.0, torch.from_numpy(files["weights"]))
+    vertices, gradient, weights = (torch.from_numpy(files[name]) for name in ("vertices", "gradient", "weights"))
+    bounded = BoundedPotential(vertices, gradient, RBF(Wendland(1.2)), 16.0, weights)
     for m in range(1, 6):
         assert table["bounded_potential"][m - 1] == pytest.approx(
             float(bounded.definition(torch.from_numpy(C[None, :m]))[0]), abs=1e-9

@@ -74,7 +74,8 @@ def write(found: Bracket, points: Array, solution: Solution, out: Path) -> None:
         "displacement by load": solution.displacement,
         "held": found.held.astype(np.float64),
     }
-    mesh.save(str(out), point_data=arrays, cell_data={"von Mises": [solution.stress]})
+    cell_arrays: Any = {"von Mises": [solution.stress]}  # a list of blocks, against meshio's annotation
+    mesh.save(str(out), point_data=arrays, cell_data=cell_arrays)
     print(f"written: {out}")
 
 

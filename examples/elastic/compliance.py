@@ -33,7 +33,7 @@ class Compliance(om.ExplicitComponent):
 
         self.points: Array | None = None
 
-    def compute(self, inputs: Any, outputs: Any, *_: Any) -> None:
+    def compute(self, inputs: Any, outputs: Any, discrete_inputs: Any = None, discrete_outputs: Any = None) -> None:
         """Solve, unless these nodes were those of the last time, too."""
         points = np.array(inputs["x_aero0"], np.float64).reshape(-1, 3)
         if self.points is None or not np.array_equal(points, self.points):
@@ -42,7 +42,7 @@ class Compliance(om.ExplicitComponent):
             self.options["solved"](self.solution)
         outputs["compliance"], outputs["volume"] = self.solution.compliance, self.solution.volume
 
-    def compute_partials(self, inputs: Any, partials: Any, *_: Any) -> None:
+    def compute_partials(self, inputs: Any, partials: Any, discrete_inputs: Any = None) -> None:
         """Those of the last solution, which is of these inputs."""
         partials["compliance", "x_aero0"] = self.solution.compliance_gradient.ravel()
         partials["volume", "x_aero0"] = self.solution.volume_gradient.ravel()
@@ -88,11 +88,12 @@ def optimized(
     problem.setup(mode="rev")
     problem.run_driver()
     found = problem.driver.result
+    result: Any = problem.driver._scipy_optimize_result
     return Optimum(
         problem.get_val("x_aero0").reshape(-1, 3).copy(),
         geometry.rows(problem.get_val("parameters")),
         solutions,
         solutions[-1],
-        str(problem.driver._scipy_optimize_result.message),
+        str(result.message),
         bool(found.success),
     )

@@ -83,8 +83,8 @@ class Body:
         Raises:
             ShapeError: if cells are inside out.
         """
-        mesh = skfem.MeshHex(np.ascontiguousarray(points.T), np.ascontiguousarray(self.corners.T))
-        cells = skfem.CellBasis(mesh, skfem.ElementHexS2(), intorder=ORDER)
+        mesh: Any = skfem.MeshHex(np.ascontiguousarray(points.T), np.ascontiguousarray(self.corners.T))
+        cells: Any = skfem.CellBasis(mesh, skfem.ElementHexS2(), intorder=ORDER)
         volumes = cells.mapping.detDF(cells.X)
         turned = (volumes * np.sign(volumes.sum()) <= 0.0).any(axis=1)  # cells may be left-handed, all of them
         if turned.any():
@@ -170,4 +170,5 @@ def gradients(basis: Any) -> Array:
 def gathered(basis: Any, values: Array, count: int) -> Array:
     """Sums [count, 3] of values [a, c, 3] at the degrees of freedom of a scalar basis."""
     places = basis.element_dofs.ravel()
-    return np.stack([np.bincount(places, values[:, :, k].ravel(), minlength=count) for k in range(3)], axis=1)
+    sums = [np.bincount(places, values[:, :, k].ravel(), minlength=count) for k in range(3)]
+    return np.stack(sums, axis=1, dtype=np.float64)

@@ -11,6 +11,7 @@ from rbfevo.arrays import Array
 from rbfevo.geometry.triangles import doubled_area_vectors
 from rbfevo.meshes.constraints import SLIP_TYPES
 from rbfevo.meshes.surface import patch_points
+from rbfevo.recorded.moves import within_bounds
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import Setup
 
@@ -64,6 +65,23 @@ def warnings(
     turned = int((_dots(mesh.points, moved, triangles) < 0).sum())
     if turned:
         yield f"{turned} of {len(triangles)} triangles turn by more than 90 degrees: the surface may fold over"
+
+
+def beyond_bounds(record: Record, reached: Array) -> str:
+    """How far vertices of a run move beyond `scenario.max_displacement`; empty if none does.
+
+    Args:
+        reached: [n, k] displacements of the vertices of the run's template.
+    """
+    factor = within_bounds(record, reached)
+    if record.max_displacement is None or factor > 1.0 - 1e-9:  # an export at its bound, rounded
+        return ""
+    lengths = np.linalg.norm(reached, axis=1)
+    beyond = int((lengths > record.max_displacement).sum())
+    return (
+        f"{beyond} of {len(lengths)} vertices of the run's template move farther than scenario.max_displacement "
+        f"allows, the worst {1.0 / factor:.4g} times as far; multiply the displacements by at most {factor:.4g}"
+    )
 
 
 def _other_patches(record: Record, mesh: meshes.Mesh, length: Array) -> Iterator[str]:

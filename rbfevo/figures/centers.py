@@ -24,11 +24,12 @@ def picture(record: Record, *, opengl: bool = True) -> Figure:
     Raises:
         UserError: if no setup has finite centers and scores.
     """
-    titles, note = panels.choose(record), ""
+    titles = panels.choose(record)
     with style.typography():
         if record.gradients is not None:
             return _of_several(record, titles, opengl)
         choices, note = _choices(record, titles)
+        note = note or _of_kept(record)
         if record.vertices.shape[1] == 2:
             return panels.compose(record, choices, plane.rows(record, choices), *plane.size(record), note)
         rows, height = space.rows(record, choices, opengl)
@@ -43,6 +44,13 @@ def _choices(record: Record, titles: dict[int, str]) -> tuple[list[panels.Choice
         return [panels.Choice(index, title, None) for index, title in titles.items()], str(error)
 
 
+def _of_kept(record: Record) -> str:
+    """What the dark centers are; empty where there are none."""
+    if record.kept == 0:
+        return ""
+    return "the center that was kept is black" if record.kept == 1 else f"the {record.kept} kept centers are black"
+
+
 def _of_several(record: Record, titles: dict[int, str], opengl: bool) -> Figure:
     """The same with rows of panels for each of several objectives, but not for all of many."""
     rows, height, choices, note = [], 0.0, [], ""
@@ -50,6 +58,7 @@ def _of_several(record: Record, titles: dict[int, str], opengl: bool) -> Figure:
         choices, note = _choices(alone, titles)
         more, height = space.rows(alone, choices, opengl, record)
         rows += [dataclasses.replace(row, label=f"{name}:\n{row.label}") for row in more[: 1 + (not note)]]
+    note = note or _of_kept(record)
     if len(record.objectives) > MOST:
         note = note or f"the first {MOST} of {len(record.objectives)} objectives; report.html shows all"
     return panels.compose(record, choices, rows, space.SIDE, height, note)

@@ -13,6 +13,7 @@ from rbfevo.figures.surface import AMBIENT, DIFFUSE, GHOST
 from rbfevo.recorded.record import Record
 
 IMAGE = "#f2a5a3"  # a mirror image of a center
+KEPT_IMAGE = style.GREY
 IN_FRONT = -66_000.0  # as near as OpenGL's depth goes, for the centers that shine through the surface
 
 
@@ -57,10 +58,10 @@ class Pane:
                 self.mesh.point_data.active_normals = smooth["Normals"]
         self.mesh["values"] = fields.values(row, colour)
         self._plotter.subplot(0, self._place)
-        places, mirrored = fields.centers(row, shape)
-        colours = np.where(mirrored[:, None], pyvista.Color(IMAGE).int_rgb, pyvista.Color(style.RED).int_rgb)
+        places, mirrored, kept = fields.centers(row, shape)
+        rgb = [pyvista.Color(name).int_rgb for name in (style.RED, IMAGE, style.KEPT, KEPT_IMAGE)]
         cloud = pyvista.PolyData(places)
-        cloud["colour"] = colours.astype(np.uint8)
+        cloud["colour"] = np.array(rgb, np.uint8)[mirrored + 2 * kept]
         balls = cloud.glyph(geom=self._balls, scale=False, orient=False)
         for name, opacity in (("centers", 1.0), ("hidden centers", GHOST)):
             actor = self._plotter.add_mesh(

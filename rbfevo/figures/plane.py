@@ -74,7 +74,8 @@ def place_centers(axes: Axes, record: Record, choice: Choice) -> None:
     names = np.array(["x", "y"])[order]
     centers = record.centers[choice.index][:, order]
     dot = float(np.clip(30 * np.sqrt(25 / max(len(centers), 1)), 4, 40))
-    axes.scatter(*centers.T, s=dot, color=style.RED, edgecolor="white", linewidth=0.6, zorder=3, clip_on=False)
+    colors = [style.KEPT if j < record.kept else style.RED for j in range(len(centers))]
+    axes.scatter(*centers.T, s=dot, c=colors, edgecolor="white", linewidth=0.6, zorder=3, clip_on=False)
     axes.set_xlim(record.lower[order[0]], record.upper[order[0]])
     axes.set_ylim(record.lower[order[1]], record.upper[order[1]])
     axes.set_aspect("equal")

@@ -257,19 +257,23 @@ class Fields:
         left = self.record.gradient if colour == "wanted" else self.record.gradient - self._reached(row)
         return self._scale * local_error(left)
 
-    def centers(self, row: int, shape: str) -> tuple[Array, Array]:
-        """All centers [q, 3] of a setup, and which are mirror images [q]; in the shape within reach they have moved."""
+    def centers(self, row: int, shape: str) -> tuple[Array, Array, Array]:
+        """All centers [q, 3] of a setup, and which are mirror images and which were kept [q].
+
+        In the shape within reach they have moved.
+        """
         try:
             chosen = setup(self.record, row)
         except UserError:  # a kernel that is unknown here still has centers to show
             centers = self.record.centers[row]
-            return np.pad(centers, ((0, 0), (0, 3 - centers.shape[1]))), np.zeros(len(centers), dtype=bool)
+            places = np.pad(centers, ((0, 0), (0, 3 - centers.shape[1])))
+            return places, np.zeros(len(centers), dtype=bool), np.arange(len(centers)) < self.record.kept
         physical = chosen.centers_and_images()
         places = np.pad(physical.points, ((0, 0), (0, 3 - physical.points.shape[1])))
         if shape == "reached":
             moves = chosen.displacement(chosen.centers, self._weights(row))
             places = places + self._stretch * spatial(chosen.with_images(moves))
-        return places, physical.mirrored
+        return places, physical.mirrored, physical.column < self.record.kept
 
     def _reach(self, row: int) -> Array:
         return setup(self.record, row).displacement(self.record.vertices, self._weights(row))

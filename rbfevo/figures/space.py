@@ -45,7 +45,7 @@ def rows(record: Record, choices: list[Choice], opengl: bool, whole: Record | No
     shapes = {}
     if known and record.gradient.shape[1] == 3 and whole is None:
         shapes = {choice.index: record.vertices + factor * np.asarray(choice.reached) for choice in choices}
-    centers = [_with_images(record, choice.index) for choice in choices]
+    centers = [_with_images(record, choice.index)[0] for choice in choices]
     diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
     radius = 0.0125 * diagonal * min(1.0, np.sqrt(25 / max(record.centers.shape[1], 1)))
     view = view_of(
@@ -67,12 +67,13 @@ def rows(record: Record, choices: list[Choice], opengl: bool, whole: Record | No
     return made, SIDE * view.tall / view.half
 
 
-def _with_images(record: Record, index: int) -> Array:
-    """All centers of a setup: those of a symmetric one on both sides."""
+def _with_images(record: Record, index: int) -> tuple[Array, Array]:
+    """All centers of a setup, those of a symmetric one on both sides, and their colours [q, 3]."""
     try:
-        return setup(record, index).centers_and_images().points
+        points, of, _ = setup(record, index).centers_and_images()
     except UserError:  # a kernel that is unknown here still has centers to show
-        return record.centers[index]
+        points, of = record.centers[index], np.arange(record.centers.shape[1])
+    return points, np.where(of[:, None] < record.kept, to_rgb(style.KEPT), to_rgb(style.RED))
 
 
 def stretch(record: Record, errors: Array) -> tuple[float, str]:
@@ -95,8 +96,8 @@ def _panel(
 ) -> Callable[[Axes, Choice], None]:
     def draw(axes: Axes, choice: Choice) -> None:
         vertices = record.vertices if shapes is None else shapes[choice.index]
-        centers = _with_images(record, choice.index) if shapes is None else np.empty((0, 3))
-        paint(axes, view, vertices, record.faces, colors(choice), centers, radius)
+        centers, balls = _with_images(record, choice.index) if shapes is None else (np.empty((0, 3)), None)
+        paint(axes, view, vertices, record.faces, colors(choice), centers, radius, balls=balls)
         axes.set_xlim(-view.half, view.half)
         axes.set_ylim(-view.tall, view.tall)
         axes.set_aspect("equal")

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 DPI = 200
 GREEN, BLUE, MAGENTA, ORANGE, RED = "#57b55a", "#0b4fa8", "#d3148f", "#f28e00", "#e0201b"
 INK, GREY, PALE = "#1c1c1c", "#6b6b6b", "#d9d9d9"
+KEPT = INK  # a center that a run keeps
 
 # Blue to yellow as in the paper, with lightness rising evenly, so that it also reads in grey and to the colour-blind.
 ERROR = LinearSegmentedColormap.from_list(

@@ -28,11 +28,13 @@ def render(
     centers: Array,
     radius: float,
     ambient: float = AMBIENT,
+    balls: Array | None = None,
 ) -> None:
-    """Show a surface with colours [n, 3] and red balls at `centers` [m, 3], an off-screen rendering by PyVista.
+    """Show a surface with colours [n, 3] and balls at `centers` [m, 3], an off-screen rendering by PyVista.
 
-    Balls behind the surface shine through: they are blended over the surface. The larger the share
-    `ambient` of the light, the closer the picture keeps to `colors`.
+    Balls have the colours `balls` [m, 3], dark or red; all are red unless given. Those behind the surface shine
+    through: they are blended over it. The larger the share `ambient` of the light, the closer the picture keeps to
+    `colors`.
 
     Raises:
         RuntimeError: if the rendering stays empty, as it does with some broken OpenGL drivers.
@@ -71,17 +73,18 @@ def render(
         plotter.close()
         raise RuntimeError("OpenGL rendered an empty picture")
     if len(centers):
-        balls: Any = pyvista.PolyData(centers).glyph(geom=pyvista.Sphere(radius=radius), scale=False, orient=False)
-        plotter.add_mesh(
-            balls, color=style.RED, smooth_shading=True, ambient=0.45, diffuse=0.6, specular=0.2, render=False
-        )
+        cloud: Any = pyvista.PolyData(centers)
+        cloud["colour"] = np.round(255 * _of_balls(centers, balls)).astype(np.uint8)
+        glyphs = cloud.glyph(geom=pyvista.Sphere(radius=radius), scale=False, orient=False)
+        look: Any = {"smooth_shading": True, "ambient": 0.45, "diffuse": 0.6, "specular": 0.2}
+        plotter.add_mesh(glyphs, scalars="colour", rgb=True, render=False, **look)
         plotter.reset_camera_clipping_range()
         plotter.render()
         whole = _pixels(plotter)
         surface.SetVisibility(False)
         plotter.render()
         alone = _pixels(plotter)
-        ball = alone[..., 2:] < 0.5  # red, without the rim that blends into the white around it
+        ball = alone[..., 2:] < 0.5  # red or dark, without the rim that blends into the white around it
         seen = (whole != bare).any(axis=2, keepdims=True)
         bare = np.where(ball & ~seen, (1 - GHOST) * bare + GHOST * alone, whole)
     plotter.close()
@@ -97,6 +100,7 @@ def project(
     centers: Array,
     radius: float,
     ambient: float = AMBIENT,
+    balls: Array | None = None,
 ) -> None:
     """Show the same by matplotlib alone: faces painted from back to front, with the light from the camera's left."""
     flat, near = view.project(vertices)
@@ -119,9 +123,14 @@ def project(
     points_per_unit = axes.bbox.width * 72 / axes.figure.dpi / (2 * view.half)
     places = view.project(centers)[0]
     for which, opacity, edge in ((behind, GHOST, "none"), (~behind, 1.0, "white")):
-        color = (*to_rgb(style.RED), opacity)
+        own = np.insert(_of_balls(centers, balls)[which], 3, opacity, axis=1)
         size = (2 * radius * points_per_unit) ** 2
-        axes.scatter(*places[which].T, s=size, facecolor=[color], edgecolor=edge, linewidth=0.4, zorder=3)
+        axes.scatter(*places[which].T, s=size, facecolor=own, edgecolor=edge, linewidth=0.4, zorder=3)
+
+
+def _of_balls(centers: Array, balls: Array | None) -> Array:
+    """Colours [m, 3] in [0, 1]."""
+    return np.tile(to_rgb(style.RED), (len(centers), 1)) if balls is None else balls
 
 
 def _pixels(plotter: Any) -> Array:

@@ -260,7 +260,8 @@ class Window:
         images = ", their mirror images in light red" if record.summary.get("symmetry") is not None else ""
         moved = ", at their moved places" if state.shape == "reached" else ""
         m = record.centers.shape[1]
-        return f"{SHAPES[state.shape]}{remark}; {m} center{'s' * (m != 1)} in red{moved}{images}"
+        kept = f", the {record.kept} that the run kept in black" if record.kept else ""
+        return f"{SHAPES[state.shape]}{remark}; {m} center{'s' * (m != 1)} in red{kept}{moved}{images}"
 
 
 def png(image: Array) -> bytes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -63,7 +64,7 @@ class Enclosed:
         return -self._sign * np.asarray(cloud.compute_implicit_distance(self._surface)["implicit_distance"], np.float64)
 
 
-def within(solids: list[Solid], points: Array) -> Mask:
+def within(solids: Sequence[Solid], points: Array) -> Mask:
     """Which of points [q, 3] are in at least one of some bodies, their boundaries included."""
     found = np.zeros(len(points), bool)
     for solid in solids:

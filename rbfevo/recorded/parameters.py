@@ -148,7 +148,7 @@ class Displacement:
     def __call__(self, parameters: Array) -> Array:
         """Displacements [n, 3] under parameters [r], real or complex."""
         if np.iscomplexobj(parameters):
-            return self(parameters.real) + 1j * self(parameters.imag)
+            return self(np.real(parameters)) + 1j * self(np.imag(parameters))
         found, moved = np.zeros((self.count, 3)), np.zeros((len(self._moving), 3))
         weights = self.parameters.weights(parameters)
         moved[:, self.axes] = self._blend * self.parameters.chosen.free_displacement(self._places, weights)

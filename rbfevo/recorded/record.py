@@ -119,6 +119,12 @@ class Record:
         return [self.alone(index) for index in range(max(1, len(self._sensitivities)))]
 
     @property
+    def kept(self) -> int:
+        """How many centers, the first ones of each setup, the run was told to keep."""
+        kept = self.summary.get("kept", 0)
+        return kept if isinstance(kept, int) else 0
+
+    @property
     def potential(self) -> Array:
         """[p] the potential that was searched with regularity: P, bounded potential, or the least of several."""
         if self.worst_potential is not None:

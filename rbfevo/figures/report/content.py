@@ -180,6 +180,7 @@ def _run(
         "embedded": embedded,
         "settings": run.settings,
         "m": m,
+        "stay": record.kept,
         "n": n,
         "rows": rows.tolist(),
         "series": which[rows].tolist(),

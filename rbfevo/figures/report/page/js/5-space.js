@@ -114,9 +114,11 @@ function drawView(state, which, setup) {
     ? { type: "mesh3d", x, y, z, i, j, k, hoverinfo: "skip", opacity: state.seeThrough ? 0.45 : 1, lighting: { ambient: 0.68, diffuse: 0.4, specular: 0.03, roughness: 0.9, fresnel: 0 }, lightposition: LIGHT, ...(values ? { intensity: values, ...look, showscale: false } : { color: colors.clay }) }
     : { type: "scatter3d", mode: "markers", x, y, z, hoverinfo: "skip", marker: { size: 2, opacity: state.seeThrough ? 0.35 : 1, ...(values ? { color: values, ...look } : { color: colors.clay }) } };
   const { own, images } = placesOf(setup, mesh), radius = radiusOf(mesh, setup);
-  const name = (place, j, image) => `center ${j}${image ? ", mirrored" : ""}<br>${place.map((value) => short(value)).join(", ")}`;
-  const traces = [surface, balls(own.map((place) => about(place, mesh)), radius, colors.center, own.map((place, j) => name(place, j, false)))];
-  if (images.length) traces.push(balls(images.map(([place]) => about(place, mesh)), radius, colors.image, images.map(([place, j]) => name(place, j, true))));
+  const name = (place, j, image) => `center ${j}${j < setup.run.stay ? ", given to keep" : ""}${image ? ", mirrored" : ""}<br>${place.map((value) => short(value)).join(", ")}`;
+  const drawn = (places, image, color) => balls(places.map(([place]) => about(place, mesh)), radius, color, places.map(([place, j]) => name(place, j, image)));
+  const stays = ([, j]) => j < setup.run.stay, moves = (place) => !stays(place), numbered = own.map((place, j) => [place, j]);
+  const groups = [[numbered.filter(moves), false, colors.center], [images.filter(moves), true, colors.image], [numbered.filter(stays), false, colors.ink], [images.filter(stays), true, colors.grey]];
+  const traces = [surface, ...groups.filter(([places], which) => !which || places.length).map((group) => drawn(...group))];
   const box = boxOf(mesh, state.setups.filter((other) => other.run.mesh === setup.run.mesh)), flat = mesh.d === 2;
   const axis = (index) => ({ range: box[index], visible: flat && index < 2, showbackground: false, showspikes: false, gridcolor: colors.line, color: colors.grey, title: { text: flat ? "xyz"[index] : "" }, zeroline: false, ...(flat && index < 2 ? ticksOf(box[index], mesh.middle[index]) : {}) });
   const layout = {
@@ -189,6 +191,7 @@ function drawScale(state) {
   if (state.shape !== "template") notes.push("Centers are shown at their first places.");
   if (state.shape !== "template" && mesh.remark) notes.push(`Shape: ${mesh.remark}.`);
   if (state.color === "left" && state.chosen && !hasResidual(state.chosen)) notes.push("This page does not hold the residual of this setup.");
+  if (state.chosen && state.chosen.run.stay) notes.push("Centers that were given to keep have the colour of the text.");
   if (state.seeThrough === false && mesh.d === 3) notes.push("To see centers inside or behind the surface, see through it or turn it.");
   byId("view-hint").textContent = notes.join(" ");
 }
