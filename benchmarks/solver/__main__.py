@@ -1,6 +1,6 @@
 """Setups and rules on real solvers, by adjoint solution: docs/solver.csv.
 
-OMP_NUM_THREADS=1 python -m benchmarks.solver duct body diffuser     # hours; what was finished is skipped
+OMP_NUM_THREADS=1 python -m benchmarks.solver diffuser elastic duct body     # hours; what was finished is skipped
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 
 from benchmarks.choosing import ROOT, write
 from benchmarks.solver.descent import descend
+from benchmarks.solver.elastic import Elastic
 from benchmarks.solver.flow import Flow
 from benchmarks.solver.plan import PLANS, Chosen, setups
 
@@ -28,7 +29,7 @@ def rules(chosen: Chosen, first: float) -> tuple[str, ...]:
 
 def carry_out(name: str, only: str | None) -> None:
     """The descents of a case that are not there yet, a file each."""
-    plan, case = PLANS[name], Flow(name, RUNS / name)
+    plan, case = PLANS[name], (Elastic if name == "elastic" else Flow)(name, RUNS / name)
     for chosen in setups(case.settings, plan, RUNS / name / "runs"):
         if only is not None and chosen.size != only:
             continue

@@ -35,12 +35,13 @@ class Plan(NamedTuple):
     step: float = 0.01
 
 
-# python -m rbfevo.advise recommends 6 centers of radius 2.911 (duct), 10 of 1.248 (body), 5 of 2.06 (diffuser); the
-# commands stand in examples/openfoam.
+# python -m rbfevo.advise recommends 6 centers of radius 2.911 (duct), 10 of 1.248 (body), 5 of 2.06 (diffuser), 8 of
+# 105.7 (elastic); the commands stand in examples/openfoam and examples/elastic.
 PLANS = {
     "duct": Plan(6, (2.911, 1.4555), 0.1332),
     "body": Plan(6, (1.248, 0.624), 0.08318),
     "diffuser": Plan(5, (2.06, 1.03), 0.1311),
+    "elastic": Plan(6, (105.7, 52.85), 10.21),
 }
 
 
