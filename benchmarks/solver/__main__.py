@@ -12,13 +12,20 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.choosing import ROOT, write
 from benchmarks.solver.descent import descend
 from benchmarks.solver.elastic import Elastic
 from benchmarks.solver.flow import Flow
-from benchmarks.solver.plan import PLANS, Chosen, setups
+from benchmarks.solver.picture import draw
+from benchmarks.solver.plan import PLANS, Chosen, known, setups
+from benchmarks.solver.report import descents, largest, of
+from benchmarks.solver.report import write as write_page
+from benchmarks.solver.strategies import SEEDS, searched
 
-RUNS, TABLE = ROOT / "outputs" / "solver", ROOT / "docs" / "solver.csv"
+RUNS, PAGE, TABLE = ROOT / "outputs" / "solver", ROOT / "docs" / "solver.md", ROOT / "docs" / "solver.csv"
+KNOWN, STRATEGIES = TABLE.with_name("solver-known.csv"), TABLE.with_name("solver-es.csv")
 STEEPEST = ("advised", "Lloyd 0")  # families that take steepest descent, too, with the first radius
 
 
@@ -29,7 +36,7 @@ def rules(chosen: Chosen, first: float) -> tuple[str, ...]:
 
 def carry_out(name: str, only: str | None) -> None:
     """The descents of a case that are not there yet, a file each."""
-    plan, case = PLANS[name], (Elastic if name == "elastic" else Flow)(name, RUNS / name)
+    plan, case = PLANS[name], case_of(name)
     for chosen in setups(case.settings, plan, RUNS / name / "runs"):
         if only is not None and chosen.size != only:
             continue
@@ -51,27 +58,94 @@ def _short(value: Any) -> Any:
     return f"{value:.8g}" if isinstance(value, float) else value
 
 
-def collected() -> list[dict[str, Any]]:
-    """The lines of all descents."""
-    found: list[dict[str, Any]] = []
+def carry_out_known(name: str) -> None:
+    """What is known beforehand of the setups of a case whose runs are all there."""
+    plan, path = PLANS[name], RUNS / name / "known" / "known.csv"
+    if path.exists() or not (RUNS / name / "runs").is_dir():
+        return
+    case, lines = case_of(name), []
+    for chosen in setups(case.settings, plan, RUNS / name / "runs"):
+        of = {"case": name, "setup": chosen.family, "size": chosen.size, "radius": chosen.radius}
+        lines.append({key: _short(value) for key, value in (of | known(chosen)).items()})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write(path, lines)
+
+
+def carry_out_strategies() -> None:
+    """The evolution strategy on the bracket, with the recommended few centers and the best setup of 16."""
+    plan, case = PLANS["elastic"], case_of("elastic")
+    found = of(descents(collected("*.csv")), case="elastic", rule="max-norm")
+    best = {size: largest(of(found, size=size)) for size in ("few", "many")}
+    if best["few"] is None or best["many"] is None:
+        print("elastic: its descents come first")
+        return
+    diagonal = float(np.linalg.norm(np.ptp(case.mesh.points[case.rows], axis=0)))
+    for chosen in setups(case.settings, plan, RUNS / "elastic" / "runs"):
+        many = best["many"]
+        recommended = chosen.family == "advised" and chosen.size == "few" and chosen.radius == plan.radii[0]
+        if not recommended and (chosen.family, chosen.size, chosen.radius) != (many.setup, many.size, many.radius):
+            continue
+        for seed in SEEDS:
+            part = RUNS / "elastic" / "strategies" / f"{chosen.size}-{seed}.csv"
+            if part.exists():
+                continue
+            part.parent.mkdir(parents=True, exist_ok=True)
+            lines = searched(case, chosen, plan.step * diagonal, seed, RUNS / "elastic" / "strategies" / "solver")
+            own = {
+                "case": "elastic",
+                "setup": chosen.family,
+                "size": chosen.size,
+                "radius": chosen.radius,
+                "seed": seed,
+            }
+            write(part, [{key: _short(value) for key, value in (own | line).items()} for line in lines])
+            print(f"elastic {part.stem}: {lines[-1]['best']:.5g} after {len(lines)} evaluations", flush=True)
+
+
+def case_of(name: str) -> Any:
+    """A case, with its mesh and first solution."""
+    return (Elastic if name == "elastic" else Flow)(name, RUNS / name)
+
+
+def collected(files: str) -> list[dict[str, Any]]:
+    """The lines of all files of the cases by a pattern."""
+    lines: list[dict[str, Any]] = []
     for name in PLANS:
-        for path in sorted((RUNS / name).glob("*.csv")):
+        for path in sorted((RUNS / name).glob(files)):
             with path.open(encoding="utf-8") as file:
-                found += csv.DictReader(file)
-    return found
+                lines += csv.DictReader(file)
+    return lines
+
+
+def read_table(path: Path) -> list[dict[str, Any]]:
+    """The lines of a table; none of one that is not there."""
+    if not path.exists():
+        return []
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
 
 
 def main() -> int:
-    """Carry out what is missing, and write the table."""
+    """Carry out what is missing, and write tables, page and picture."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("case", nargs="*", choices=[[], *PLANS], help="only these cases")
     parser.add_argument("--size", choices=("few", "many"), help="only setups of this size")
+    parser.add_argument("--strategies", action="store_true", help="the evolution strategy on the bracket")
+    parser.add_argument("--page", action="store_true", help="only write the tables on disk into docs/solver.md")
     options = parser.parse_args()
-    RUNS.mkdir(parents=True, exist_ok=True)
-    for name in options.case or PLANS:
-        carry_out(name, options.size)
-    if lines := collected():
-        write(Path(TABLE), lines)
+    if not options.page:
+        RUNS.mkdir(parents=True, exist_ok=True)
+        for name in options.case or PLANS:
+            carry_out(name, options.size)
+            carry_out_known(name)
+        if options.strategies:
+            carry_out_strategies()
+        for path, files in ((TABLE, "*.csv"), (KNOWN, "known/*.csv"), (STRATEGIES, "strategies/*.csv")):
+            if lines := collected(files):
+                write(path, lines)
+    found = descents(read_table(TABLE))
+    write_page(found, read_table(KNOWN), read_table(STRATEGIES), PAGE)
+    draw(found, ROOT / "docs" / "images" / "solver.png")
     return 0
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.elsewhere.setups import placed
+from benchmarks.elsewhere.setups import placed, scores
 from rbfevo.__main__ import main as rbfevo
 from rbfevo.arrays import Array
 from rbfevo.recorded.picks import pick
@@ -90,3 +90,10 @@ def grid(record: Record, shape: tuple[int, int, int]) -> Array:
         lower["xyz".index(plane["axis"])] = plane["at"]
     axes = [low + (high - low) * (np.arange(n) + 0.5) / n for low, high, n in zip(lower, upper, shape, strict=True)]
     return np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=1)
+
+
+def known(chosen: Chosen) -> dict[str, float]:
+    """R, P and P_16 of a setup for the raw and the smoothed sensitivity of the original design."""
+    record = chosen.record
+    raw = record.gradient if record.gradient_raw is None else record.gradient_raw
+    return scores(chosen.setup, record, {"raw": raw, "smooth": record.gradient})
