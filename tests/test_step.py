@@ -448,5 +448,3 @@ def test_adapt_adds_centers_that_keep_the_old_designs(tmp_path: Path, capsys: An
     b = -toward(record.vertices)[1].ravel()
     least = 3.0 + 0.5 * float(((b - A @ np.linalg.lstsq(A, b, rcond=1e-13)[0]) ** 2).sum())
     assert min(J) < least - 1e-3
-
-
