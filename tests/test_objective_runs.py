@@ -222,7 +222,7 @@ def test_the_nested_sequence_has_the_least_potential_where_that_is_searched(
         assert float(rows[-1]["bounded_potential"]) == pytest.approx(record.bounded_potential[0], abs=1e-6)
         return
     for count in (2, 4):  # a sweep takes the sequence that the run has left
-        several.searched(tmp_path / "ols" / str(count), template, "method=random", f"centers={count}", *common[:2])
+        several.searched(tmp_path / "ols" / str(count), template, "method=lloyd", f"centers={count}", *common[:2])
     assert collect.main([str(tmp_path / "ols"), "--sequence", "5"]) == 0
     with (tmp_path / "ols" / "sequence.csv").open() as file:
         collected = list(csv.DictReader(file))
