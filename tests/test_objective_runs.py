@@ -195,3 +195,35 @@ def test_files_that_do_not_fit_get_one_line(
         path.write_text(json.dumps(summary))
     with pytest.raises(UserError, match="do not match; restore the files of one run"):
         read(tmp_path / "run")
+
+
+@pytest.mark.parametrize("norm", [2, 16])
+def test_the_nested_sequence_has_the_least_potential_where_that_is_searched(
+    norm: int, template: Path, tmp_path: Path
+) -> None:
+    common = ["scenario.combine=worst", f"criterion.norm={norm}", "method.per_axis=6"]
+    record = several.searched(tmp_path / "ols" / "0", template, "method=ols", *common)
+    with (tmp_path / "ols" / "0" / "sequence.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 5
+    assert record.gradients is not None
+    centers_of = np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
+    for m, row in enumerate(rows, 1):
+        each = [several.plain_potential(record, g, centers_of[:m]) for g in record.gradients]
+        assert float(row["improvement_potential"]) == pytest.approx(np.mean(each), abs=1e-9)
+        if norm == 2:
+            assert float(row["worst_potential"]) == pytest.approx(min(each), abs=1e-9)
+    assert record.worst_potential is not None
+    assert float(rows[-1]["worst_potential"]) == pytest.approx(record.worst_potential[0], abs=1e-6)
+    worst = [float(row["worst_potential"]) for row in rows]
+    assert (np.diff(worst) >= -1e-9).all()
+    if norm == 16:
+        assert record.bounded_potential is not None
+        assert float(rows[-1]["bounded_potential"]) == pytest.approx(record.bounded_potential[0], abs=1e-6)
+        return
+    for count in (2, 4):  # a sweep takes the sequence that the run has left
+        several.searched(tmp_path / "ols" / str(count), template, "method=lloyd", f"centers={count}", *common[:2])
+    assert collect.main([str(tmp_path / "ols"), "--sequence", "5"]) == 0
+    with (tmp_path / "ols" / "sequence.csv").open() as file:
+        collected = list(csv.DictReader(file))
+    assert [float(row["worst_potential"]) for row in collected[:5]] == worst

@@ -100,14 +100,14 @@ def _computed(
         raise UserError(f"representation={parts.representation.name} does not consist of centers")
     picks = picked.of(settings, lambda: sequence.picks(parts, picked.most))
     table = sequence.table(parts, picks.centers, settings.manipulation)
-    bounded = table.get("bounded_potential")
+    searched = {name: table[name].tolist() if name in table else None for name in sequences.SEARCHED}
     return NestedSequence(
         key=key,
         mesh=member.settings["mesh"],
         settings={name: member.settings.get(name) for name in keys},
         regularity=table["regularity"].tolist(),
         improvement_potential=table["improvement_potential"].tolist(),
-        bounded_potential=None if bounded is None else bounded.tolist(),
         points=picks.centers.tolist(),
         note=picks.note,
+        **searched,
     )

@@ -27,7 +27,7 @@ from rbfevo.runs.interruption import Interruption
 from rbfevo.runs.journal import Journal
 from rbfevo.runs.lock import locked
 from rbfevo.runs.progress import Reporter
-from rbfevo.runs.summary import differences, summary, versions
+from rbfevo.runs.summary import differences, searched, summary, versions
 from rbfevo.scenarios import reach
 from rbfevo.scoring import compilation
 from rbfevo.scoring.fronts import ENOUGH, enough_of
@@ -240,7 +240,7 @@ class Run(Parts):
             return
         table = sequence.table(self, picked, self.settings.manipulation)
         storage.write_sequence(directory, table)
-        gains = np.sqrt(table.get("bounded_potential", table["improvement_potential"]))
+        gains = np.sqrt(table[searched(self)])
         number = enough_of(table["centers"].tolist(), gains.tolist())
         if number is not None and len(self.stages) == 1:
             P = "P" if self.norm == 2.0 else f"P_{self.norm:g}"

@@ -37,12 +37,15 @@ def table(parts: Parts, picked: torch.Tensor, manipulation: str) -> dict[str, np
     """
     setups = [parts.scenario.parameterization.settle(picked[:m]) for m in range(1, len(picked) + 1)]
     scenario = parts.scenario
-    regularity, potential = shared_scores(evaluator_of(scenario, parts.representation, manipulation, "eager"), setups)
+    evaluator, combination = evaluator_of(scenario, parts.representation, manipulation, "eager"), _combination(parts)
+    regularity, each = shared_scores(evaluator, setups, combination)
     found = {"centers": np.arange(1, len(picked) + 1), "regularity": regularity.numpy()}
-    found["improvement_potential"] = potential.numpy()
+    found["improvement_potential"] = combination.mean(each).numpy()
     if parts.norm != 2.0:
-        each = [bounded_prefixes(one, setups, picked) for one in parts.bounded(scenario)]
-        found["bounded_potential"] = Combination.of(scenario.objectives)(torch.stack(each, dim=1)).numpy()
+        each = torch.stack([bounded_prefixes(one, setups, picked) for one in parts.bounded(scenario)], dim=1)
+        found["bounded_potential"] = combination.mean(each).numpy()
+    if combination.worst:
+        found["worst_potential"] = combination(each).numpy()
     return found | {axis: picked[:, i].numpy() for i, axis in enumerate("xyz"[: picked.shape[1]])}
 
 
@@ -74,5 +77,9 @@ def _small(problem: Problem, heuristic: OlsHeuristic) -> Problem:
 
 
 def is_scored(parts: Parts) -> bool:
-    """Whether the columns of a run's setups belong to one center each, and the mean of all objectives is searched."""
-    return isinstance(parts.representation, RBF) and not Combination.of(parts.scenario.objectives).worst
+    """Whether the columns of a run's setups belong to one center each."""
+    return isinstance(parts.representation, RBF)
+
+
+def _combination(parts: Parts) -> Combination:
+    return Combination.of(parts.scenario.objectives)

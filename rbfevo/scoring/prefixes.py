@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.combination import ONE, Combination
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.evolvability import cutoff
 from rbfevo.scoring.representations import Representation
@@ -34,8 +35,13 @@ class _Block(NamedTuple):
 
 @torch.no_grad()
 @coarse()
-def shared_scores(evaluator: Evaluator, setups: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
-    """R and P [p] of p setups of RBFs, finite centers [m_i, d] each, by the definition (`scoring.evolvability`)."""
+def shared_scores(
+    evaluator: Evaluator, setups: Sequence[Tensor], combination: Combination = ONE
+) -> tuple[Tensor, Tensor]:
+    """R [p] and each objective's P [p, J] of p setups of RBFs, finite centers [m_i, d] each, by the definition.
+
+    See `scoring.evolvability`; `combination` is that of the objectives that the evaluator's gradient stacks.
+    """
     design = evaluator.deformation.vertices
     every = torch.cat([setup.to(design) for setup in setups])
     if isinstance(evaluator, MirroredEvaluator):
@@ -47,8 +53,10 @@ def shared_scores(evaluator: Evaluator, setups: Sequence[Tensor]) -> tuple[Tenso
     else:
         blocks = [_block(evaluator, centers, torch.ones_like(centers[:, 0], dtype=torch.bool))]
     manipulation = evaluator.deformation.manipulation
-    scores = [_scored(blocks, centers, rows, len(design), manipulation) for rows in index.split(list(map(len, setups)))]
-    return tuple(torch.tensor(column, dtype=design.dtype) for column in zip(*scores, strict=True))  # pyright: ignore[reportReturnType]
+    each = index.split(list(map(len, setups)))
+    scores = [_scored(blocks, centers, rows, len(design), manipulation, combination) for rows in each]
+    regularities, potentials = zip(*scores, strict=True)
+    return torch.tensor(regularities, dtype=design.dtype), torch.stack(potentials)
 
 
 def _block(evaluator: Evaluator, centers: Tensor, has_column: Tensor) -> _Block:
@@ -58,9 +66,14 @@ def _block(evaluator: Evaluator, centers: Tensor, has_column: Tensor) -> _Block:
     return _Block(evaluator.representation, place, triangle[:r, :r], triangle[:r, r:])
 
 
-def _scored(blocks: Sequence[_Block], centers: Tensor, rows: Tensor, n: int, manipulation: str) -> tuple[float, float]:
-    """R and P of the setup centers[rows]; R is 0 where the rank is short, or Psi singular under direct manipulation."""
-    sigmas, potential, lost = [], 0.0, False
+def _scored(
+    blocks: Sequence[_Block], centers: Tensor, rows: Tensor, n: int, manipulation: str, combination: Combination
+) -> tuple[float, Tensor]:
+    """R and P [J] of the setup centers[rows].
+
+    R is 0 where the rank is short, or Psi singular under direct manipulation.
+    """
+    sigmas, potential, lost = [], centers.new_zeros(combination.count), False
     for block in blocks:
         places = block.place[rows]
         own, T = rows[places >= 0], block.T[:, places[places >= 0]]
@@ -68,7 +81,7 @@ def _scored(blocks: Sequence[_Block], centers: Tensor, rows: Tensor, n: int, man
             continue
         left, sigma, _ = torch.linalg.svd(T, full_matrices=False)
         kept = sigma > cutoff(n, len(own)) * sigma[0]
-        potential += float(torch.where(kept[:, None], left.mT @ block.c, 0.0).square().sum())
+        potential = potential + combination.norms(torch.where(kept[:, None], left.mT @ block.c, 0.0))
         lost = lost or not bool(kept.all())
         if manipulation != "indirect" and not lost:
             U = block.representation.matrix(T, centers[own], manipulation)
@@ -78,7 +91,7 @@ def _scored(blocks: Sequence[_Block], centers: Tensor, rows: Tensor, n: int, man
     every = torch.cat(sigmas)
     largest = float(every.amax())
     regularity = 0.0 if lost or not largest > 0.0 else float(every.amin()) / largest
-    return regularity, min(max(potential, 0.0), 1.0)
+    return regularity, potential.clamp(0.0, 1.0)
 
 
 @torch.no_grad()

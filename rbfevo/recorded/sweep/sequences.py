@@ -17,6 +17,7 @@ from rbfevo.recorded.sweep.members import Member
 from rbfevo.recorded.sweep.tables import ALWAYS, varying
 
 FILE = "sequence.csv"  # of a run, and of a sweep
+SEARCHED = ("bounded_potential", "worst_potential")  # in the place of improvement potential
 FREE = ("method", "centers", "seed", "preference")  # settings on which no sequence depends
 AXES = ("x", "y", "z")
 
@@ -26,7 +27,8 @@ class NestedSequence(NamedTuple):
 
     Attributes:
         key: a fingerprint of the settings that it depends on; mesh: of vertices and gradient; settings: shown ones.
-        regularity, improvement_potential: [m]; bounded_potential: [m] where that was searched, else None.
+        regularity, improvement_potential: [m]; bounded_potential, worst_potential: [m] where that
+            was searched, else None.
         points: [m] of [d] coordinates, in the order placed; note: why there are no more, or empty.
     """
 
@@ -38,11 +40,13 @@ class NestedSequence(NamedTuple):
     bounded_potential: list[float] | None
     points: list[list[float]]
     note: str = ""
+    worst_potential: list[float] | None = None
 
     @property
     def potential(self) -> list[float]:
         """The potential that was searched."""
-        return self.improvement_potential if self.bounded_potential is None else self.bounded_potential
+        known = (self.worst_potential, self.bounded_potential)
+        return next((found for found in known if found is not None), self.improvement_potential)
 
 
 def key_of(member: Member) -> str:
@@ -104,9 +108,9 @@ def _rows(path: Path) -> dict[str, list[dict[str, str]]]:
 
 def _sequence(key: str, member: Member, keys: Sequence[str], rows: list[dict[str, str]]) -> NestedSequence | None:
     """A sequence from its lines; None where they are not all there, or not of the potential that was searched."""
-    bounded = member.record.bounded_potential is not None
     axes = AXES[: member.record.vertices.shape[1]]
-    names = ("regularity", "improvement_potential", *(("bounded_potential",) if bounded else ()), *axes)
+    searched = [name for name in SEARCHED if getattr(member.record, name) is not None]
+    names = ("regularity", "improvement_potential", *searched, *axes)
     try:
         columns = {name: [float(row[name]) for row in rows] for name in names}
         numbers = [int(row["centers"]) for row in rows]
@@ -122,6 +126,7 @@ def _sequence(key: str, member: Member, keys: Sequence[str], rows: list[dict[str
         regularity=columns["regularity"],
         improvement_potential=columns["improvement_potential"],
         bounded_potential=columns.get("bounded_potential"),
+        worst_potential=columns.get("worst_potential"),
         points=[list(point) for point in zip(*(columns[axis] for axis in axes), strict=True)],
         note=rows[-1].get("note") or "",
     )
@@ -131,29 +136,31 @@ def cut(sequence: NestedSequence, most: int) -> NestedSequence:
     """The first `most` centers of a sequence."""
     if len(sequence.points) <= most:
         return sequence
-    bounded = sequence.bounded_potential
+    found = {name: getattr(sequence, name) for name in SEARCHED}
+    shortened = {name: None if values is None else values[:most] for name, values in found.items()}
     return sequence._replace(
         regularity=sequence.regularity[:most],
         improvement_potential=sequence.improvement_potential[:most],
-        bounded_potential=None if bounded is None else bounded[:most],
         points=sequence.points[:most],
         note="",
+        **shortened,
     )
 
 
 def table_of_sequences(sequences: Sequence[NestedSequence]) -> bytes:
     """sequence.csv of a sweep: for each sequence a line for each number of centers, the last one with the note."""
-    bounded = any(sequence.bounded_potential is not None for sequence in sequences)
+    searched = [name for name in SEARCHED if any(getattr(one, name) is not None for one in sequences)]
     axes = AXES[: max(len(sequence.points[0]) for sequence in sequences)]
     names = ["key", "mesh", *sequences[0].settings, "centers", "regularity", "improvement_potential"]
-    names += [*(["bounded_potential"] if bounded else []), *axes, "note"]
+    names += [*searched, *axes, "note"]
     rows = []
     for sequence in sequences:
         last = len(sequence.points)
         for i, point in enumerate(sequence.points):
             values: list[Any] = [sequence.regularity[i], sequence.improvement_potential[i]]
-            if bounded:
-                values.append(math.nan if sequence.bounded_potential is None else sequence.bounded_potential[i])
+            for name in searched:
+                found = getattr(sequence, name)
+                values.append(math.nan if found is None else found[i])
             place = [*point, *[math.nan] * (len(axes) - len(point))]
             settled = [sequence.key, sequence.mesh, *sequence.settings.values(), i + 1]
             rows.append([*settled, *values, *place, sequence.note if i + 1 == last else ""])
