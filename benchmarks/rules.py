@@ -6,6 +6,7 @@ OMP_NUM_THREADS=1 python -m benchmarks.rules outputs/bracket     # made by the c
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 import time
 from pathlib import Path
@@ -35,10 +36,7 @@ def main() -> None:
     made.add_argument("--rules", nargs="+", default=RULES)
     options = made.parse_args()
     sys.path.insert(0, str(ROOT / "examples" / "elastic"))
-    import bracket
-    from elasticity import ShapeError
-    from solve import PRICE
-
+    bracket, elasticity, solver = (importlib.import_module(name) for name in ("bracket", "elasticity", "solve"))
     record = read(options.out / "run")
     chosen = setup(record, pick(record, "potential:0.95"))
     case: Any = bracket.bracket(options.cells)
@@ -62,11 +60,11 @@ def main() -> None:
                     points = mesh.points + follower.displacement(proposal.weights)
                     try:
                         found = case.body.solve(points)
-                    except ShapeError as error:
+                    except elasticity.ShapeError as error:
                         descent.fail(str(error))
                         continue
-                    slope = found.compliance_gradient + PRICE * found.volume_gradient
-                    line = descent.accept(found.compliance + PRICE * found.volume, slope[places])
+                    slope = found.compliance_gradient + solver.PRICE * found.volume_gradient
+                    line = descent.accept(found.compliance + solver.PRICE * found.volume, slope[places])
                     best.append(line.best)
                 if options.lines:
                     print("\n".join(map(str, descent.state.lines)), file=sys.stderr, flush=True)

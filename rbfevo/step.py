@@ -60,7 +60,11 @@ def parser() -> parsers.Parser:
     made.add_argument(
         "--objective", metavar="J", help="the objective of the last design: a number, or a file that ends with it"
     )
-    made.add_argument("--failed", action="store_true", help="the solver failed on the last design: go back, whatever --sensitivity and --objective are")
+    made.add_argument(
+        "--failed",
+        action="store_true",
+        help="the solver failed on the last design: go back, whatever --sensitivity and --objective are",
+    )
     made.add_argument(
         "--step",
         type=parsers.fraction,
@@ -167,7 +171,9 @@ def waiting(stepping: Stepping, show) -> int:
     number, again = stepping.wait()
     line = f"there is no new solution: design {number} still waits for its own"
     if again:
-        raise UserError(f"{line}: give --sensitivity and --objective, or solve the case; if the solver failed, --failed")
+        raise UserError(
+            f"{line}: give --sensitivity and --objective, or solve the case; if the solver failed, --failed"
+        )
     show(f"{line}; its mesh is in {stepping.out}")
     return 0
 

@@ -269,7 +269,7 @@ def test_the_solution_of_another_design_is_refused_with_the_distance(loop: Loop,
     error = mistake(capsys)
     assert "vertices have no row within" in error or "largest distance" in error
     assert loop.entries() == before
-    shifted = points_of(loop.out) + [0.5 * far, 0.0, 0.0]
+    shifted = points_of(loop.out) + np.array([0.5 * far, 0.0, 0.0])
     assert loop.step(*loop.solved(shifted)) == 2
     assert f"the largest distance is {0.5 * far:.3g}" in mistake(capsys)
 
@@ -447,5 +447,3 @@ def test_adapt_adds_centers_that_keep_the_old_designs(tmp_path: Path, capsys: An
     b = -toward(record.vertices)[1].ravel()
     least = 3.0 + 0.5 * float(((b - A @ np.linalg.lstsq(A, b, rcond=1e-13)[0]) ** 2).sum())
     assert min(J) < least - 1e-3
-
-

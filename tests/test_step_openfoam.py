@@ -17,7 +17,7 @@ from foam_cases import box, write_dictionary, write_mesh, write_points_field
 
 from rbfevo import meshes, step
 from rbfevo.__main__ import main
-from rbfevo.meshes.openfoam import case_of, objective_of, read_case
+from rbfevo.meshes.openfoam import Case, case_of, objective_of, read_case
 
 ROOT = Path(__file__).parents[1]
 PICK = ["--pick", "best-improvement-potential"]
@@ -39,7 +39,7 @@ FIELD = "pointSensVeclossesESI"
 
 def solve(case: Path, time: str, start: str) -> float:
     """J = 2 A + B / 2 of the lid's points: A = sum |x - t|^2 / 2 and B = 3. The sensitivities go to a time."""
-    mesh = read_case(case_of(case) or pytest.fail("no case"))
+    mesh = read_case(found_in(case))
     lid = np.unique(np.concatenate([mesh.cells.corners[span] for span in spans(mesh)]))
     target = box().points + 0.05 * np.sin(3 * box().points[:, [1, 2, 0]]) * [1, 0, 1]
     s = np.zeros(mesh.points.shape)
@@ -52,6 +52,12 @@ def solve(case: Path, time: str, start: str) -> float:
     (where / "twolosses").write_text("  2   3.0\n")
     (where / "oneInstantlosses").write_text("1\t77\n")
     return 2.0 * one + 1.5
+
+
+def found_in(case: Path) -> Case:
+    found = case_of(case)
+    assert found is not None
+    return found
 
 
 def spans(mesh: Any) -> list[slice]:
@@ -196,7 +202,8 @@ def carried_out(block: str, where: Path) -> str:
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PATH": path, "OMP_NUM_THREADS": "1"}
     if Path("/usr/share/openfoam").is_dir():
         environment.setdefault("WM_PROJECT_DIR", "/usr/share/openfoam")
-    done = subprocess.run(["bash", "-c", block], cwd=where, env=environment, capture_output=True, text=True, timeout=900)
+    command = ["bash", "-c", block]
+    done = subprocess.run(command, cwd=where, env=environment, capture_output=True, text=True, timeout=900)
     assert "rbfevo" not in done.stderr, done.stderr
     return done.stdout
 
