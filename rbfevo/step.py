@@ -60,7 +60,11 @@ def parser() -> parsers.Parser:
     made.add_argument(
         "--objective", metavar="J", help="the objective of the last design: a number, or a file that ends with it"
     )
-    made.add_argument("--failed", action="store_true", help="the solver failed on the last design: go back")
+    made.add_argument(
+        "--failed",
+        action="store_true",
+        help="the solver failed on the last design: go back, whatever --sensitivity and --objective are",
+    )
     made.add_argument(
         "--step",
         type=parsers.fraction,
@@ -128,8 +132,6 @@ def refuse(options: argparse.Namespace) -> None:
         raise UserError(f"--tolerance {options.tolerance:g}: give a share of the objective, from 0 to below 1")
     if options.case is None and options.out is None:
         raise UserError("give --case, or --out and --sensitivity: where is the mesh of the next design to go?")
-    if options.failed and (options.sensitivity or options.objective):
-        raise UserError("--failed: a design without a solution has no --sensitivity and no --objective")
     if options.adapt is not None and options.adapt < 0:
         raise UserError(f"--adapt {options.adapt}: give how many centers to add, at least 1")
 
@@ -169,7 +171,9 @@ def waiting(stepping: Stepping, show) -> int:
     number, again = stepping.wait()
     line = f"there is no new solution: design {number} still waits for its own"
     if again:
-        raise UserError(f"{line}: give --sensitivity and --objective, or solve the case; if the solver failed, --failed")
+        raise UserError(
+            f"{line}: give --sensitivity and --objective, or solve the case; if the solver failed, --failed"
+        )
     show(f"{line}; its mesh is in {stepping.out}")
     return 0
 

@@ -1,8 +1,8 @@
 """The solver of the bracket as a command for a shell loop. `python examples/elastic/solve.py OUT [MESH]`.
 
-Without a mesh it makes one, OUT/bracket.vtu, and its design surface, OUT/design.vtp. It solves the bracket with its nodes
-where those of the mesh are, and writes OUT/solved.vtu with the array `sensitivity` = dL/dX at all nodes, and OUT/J.txt
-with L = J + PRICE V, compliance and what the material costs: material that is not worth its price is taken away.
+Without a mesh it makes one, OUT/bracket.vtu, and its design surface, OUT/design.vtp. It solves the bracket with its
+nodes where those of the mesh are, and writes OUT/solved.vtu with the array `sensitivity` = dL/dX at all nodes, and
+OUT/J.txt with L = J + PRICE V, compliance and what material costs: what is not worth its price is taken away.
 """
 
 from __future__ import annotations
