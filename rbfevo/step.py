@@ -154,7 +154,7 @@ def step(stepping: Stepping, options: argparse.Namespace) -> int:
         if solution is None:
             return waiting(stepping, show)
         show(*stepping.accept(solution))
-    if options.adapt is not None:
+    if options.adapt is not None and stepping.moves:
         show(*stepping.adapt(options.adapt))
     show(*stepping.propose())
     for warning in stepping.warnings:

@@ -324,6 +324,19 @@ def test_mistakes_get_one_line_and_leave_nothing(more: list[str], line: str, loo
     assert not loop.out.exists()
 
 
+def test_a_sensitivity_of_zero_is_the_end_and_a_damaged_state_one_line(loop: Loop, capsys: Any) -> None:
+    points = points_of(loop.template)
+    np.savez(loop.path / "zero.npz", points=points, sensitivity=0.0 * points)
+    zero = ["--sensitivity", str(loop.path / "zero.npz"), "--objective", "3", "--adapt"]
+    assert loop.step(*zero) == step.ENDED
+    assert "no step of this setup gains anything" in "\n".join(lines(capsys))
+    entries = loop.entries()
+    del entries["seen"]
+    (loop.state / "state.json").write_text(json.dumps(entries))
+    assert loop.step(*zero) == 2
+    assert "state.json lacks seen: damaged?" in mistake(capsys)
+
+
 def test_a_mesh_that_is_there_already_is_not_overwritten(loop: Loop, capsys: Any) -> None:
     loop.out.write_text("mine")
     assert loop.step("--objective", "1") == 2
