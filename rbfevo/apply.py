@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rbfevo import meshes
-from rbfevo.commands import doubts, parsers, volume
+from rbfevo.commands import doubts, following, parsers, volume
 from rbfevo.commands.center_rows import read_rows
 from rbfevo.errors import UserError
 from rbfevo.meshes.constraints import solid_faces
@@ -158,11 +158,7 @@ def carry_out(options: argparse.Namespace) -> None:
             print(f"warning: {warning}", file=sys.stderr, flush=True)
         notes += [carried.line] if carried else []
         if quality:
-            before, after = quality
-            notes.append(
-                f"worst non-orthogonality {before.non_orthogonality:.1f} degrees before, {after.non_orthogonality:.1f} "
-                f"after; worst skewness {before.skewness:.3g} before, {after.skewness:.3g} after"
-            )
+            notes.append(following.compared(*quality))
     if not options.quiet:
         for note in notes:
             print(f"note: {note}")
@@ -219,16 +215,12 @@ def known_faces(mesh: meshes.Mesh, options: argparse.Namespace) -> Between | Non
     Raises:
         UserError: with --volume laplace, which needs them.
     """
-    if options.volume == "laplace":
-        try:
-            return solid_faces(mesh.cells)
-        except UserError as error:
-            raise UserError(f"{options.mesh}: {error}") from None
+    if options.volume != "laplace":
+        return following.known_faces(mesh)
     try:
-        faces = meshes.cells.faces_of(mesh.cells)
-    except meshes.FormatError:
-        return None
-    return Between.of(faces) if len(faces.sizes) else None
+        return solid_faces(mesh.cells)
+    except UserError as error:
+        raise UserError(f"{options.mesh}: {error}") from None
 
 
 if __name__ == "__main__":

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import shlex
 import tempfile
 from collections.abc import Sequence
@@ -14,10 +13,9 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.commands import parsers
-from rbfevo.commands.center_rows import MOVED
+from rbfevo.commands.center_rows import MOVED, numbered
 from rbfevo.errors import UserError
 from rbfevo.files import csv_text, npz, refuse_held, write_whole
-from rbfevo.geometry.lengths import number_or_percentage
 from rbfevo.recorded.moves import RULES, Move, places_of, spatial, wanted_move
 from rbfevo.recorded.objectives import index_of
 from rbfevo.recorded.parameters import design_matrix, orthonormal
@@ -48,7 +46,7 @@ def parser() -> parsers.Parser:
     made.add_argument("--out", type=Path, metavar="DIR", help="directory to write (default: RUN/export-PICK)")
     made.add_argument(
         "--step",
-        type=_fraction,
+        type=parsers.fraction,
         default=STEP,
         help="for runs with a sensitivity, which gives a direction but no length: the largest displacement of a "
         f"vertex, as a fraction of the mesh's diagonal or a percentage (default: {STEP:g}, which is {100 * STEP:g}%%)",
@@ -75,16 +73,6 @@ def parser() -> parsers.Parser:
     )
     made.add_argument("--quiet", action="store_true", help="print nothing")
     return made
-
-
-def _fraction(text: str) -> float:
-    """A number, or a percentage of 1."""
-    number, percent = number_or_percentage(text)
-    if math.isnan(number):
-        raise argparse.ArgumentTypeError(
-            f"{text} is neither a fraction above 0 and at most 1 nor a percentage such as 5%"
-        )
-    return number / 100.0 if percent else number
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -145,7 +133,7 @@ def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, 
     places = spatial(places_of(chosen))
     contents = {
         "centers.csv": csv_text(["center", "x", "y", "z", "mirrored", "times"], lines),
-        "weights.csv": _numbered(["wx", "wy", "wz"], places, spatial(move.weights)),
+        "weights.csv": numbered(["wx", "wy", "wz"], places, spatial(move.weights)),
     }
     k = move.wanted.shape[1]
     crosses = chosen.crosses(k)
@@ -158,7 +146,7 @@ def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, 
         if chosen.hold is not None:
             names = [*names, *MOVED]
             columns = np.hstack([columns, spatial(chosen.moved(move.centers))])
-        contents["displacements.csv"] = _numbered(names, places, columns)
+        contents["displacements.csv"] = numbered(names, places, columns)
         from rbfevo.commands import pygem
 
         try:
@@ -167,13 +155,6 @@ def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, 
             left_out["parameters.prm"] = str(error)
     contents["setup.npz"] = npz(_arrays(record, chosen, crosses, bool(reason)))
     return contents, left_out
-
-
-def _numbered(names: list[str], places: Array, rows: Array) -> bytes:
-    """A table of rows [m, 3] with the places of the centers, so that it cannot be mistaken for another setup's."""
-    known = bool(np.isfinite(places).all())
-    lines = enumerate(np.hstack([places, rows] if known else [rows]).tolist())
-    return csv_text(["center", *("xyz" if known else ""), *names], [(center, *line) for center, line in lines])
 
 
 def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dict[str, Any]:

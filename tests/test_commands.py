@@ -23,6 +23,7 @@ MODULES = {  # with arguments that are right
     "rbfevo.apply": ["RUN", "--pick", "knee", "--weights", "w.csv", "--mesh", "a.vtp", "--out", "b.vtp"],
     "rbfevo.show": ["RUN"],
     "rbfevo.collect": ["RUN"],
+    "rbfevo.step": ["RUN", "--pick", "knee", "--state", "state", "--out", "b.vtp"],
     "rbfevo.fit": ["RUN", "--pick", "knee"],
     "rbfevo.figures": ["RUN"],
 }
@@ -192,6 +193,8 @@ AT_ONCE = [
     *[(name, [NOTHING if word == "RUN" else word for word in arguments]) for name, arguments in MODULES.items()],
     ("rbfevo.export", ["RUN", "--pick", "nee"]),
     ("rbfevo.show", ["RUN", "--pick", "index:99"]),
+    ("rbfevo.step", ["RUN", "--pick", "nee", "--state", "RUN/state", "--out", "b.vtp"]),
+    ("rbfevo.step", ["RUN", "--pick", "knee", "--state", "RUN/state"]),
     ("rbfevo.figures", ["RUN", "--only", "nothing"]),
     ("rbfevo.fit", ["RUN", "--pick", "knee", "--strategy", "both"]),
     ("rbfevo.fit", ["RUN", "--pick", "knee", "--manipulation", "both"]),

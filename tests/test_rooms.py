@@ -21,9 +21,10 @@ ROOMS = {
     "advice": {"scenarios", "scoring", "methods"},
     "recorded": {"geometry", "scoring"},
     "runs": {"geometry", "scenarios", "scoring", "methods", "figures"},  # a run starts the program that draws
+    "descent": {"geometry", "scenarios", "scoring", "recorded"},
     "fit": {"scenarios", "scoring", "methods", "runs", "recorded"},
     "figures": {"recorded"},
-    "commands": {"geometry", "meshes", "scenarios", "scoring", "runs", "recorded", "figures"},
+    "commands": {"geometry", "meshes", "scenarios", "scoring", "descent", "runs", "recorded", "figures"},
 }
 
 

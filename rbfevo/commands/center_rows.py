@@ -1,4 +1,4 @@
-"""Displacements or RBF weights of the centers, read from a CSV, NPY or NPZ file."""
+"""Displacements or RBF weights of the centers, read from a CSV, NPY or NPZ file, and written as CSV."""
 
 from __future__ import annotations
 
@@ -10,11 +10,19 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
+from rbfevo.files import csv_text
 from rbfevo.meshes.text_table import read_table
 
 _SAME = 1e-6  # of the largest coordinate: spreadsheets round
 LETTERS = {"displacements": "d", "weights": "w"}
 MOVED = ("moved_x", "moved_y", "moved_z")  # how far centers really move where regions are held: not read back
+
+
+def numbered(names: list[str], places: Array, rows: Array) -> bytes:
+    """A table of rows [m, 3] with the places of the centers, so that it cannot be mistaken for another setup's."""
+    known = bool(np.isfinite(places).all())
+    lines = enumerate(np.hstack([places, rows] if known else [rows]).tolist())
+    return csv_text(["center", *("xyz" if known else ""), *names], [(center, *line) for center, line in lines])
 
 
 def read_rows(path: Path, what: str, centers: Array, heights: bool) -> Array:

@@ -49,6 +49,18 @@ class PickParser(Parser):
         self.add_argument("--pick", required=default is None, help=which)
 
 
+def fraction(text: str) -> float:
+    """A number, or a percentage of 1."""
+    from rbfevo.geometry.lengths import number_or_percentage
+
+    number, percent = number_or_percentage(text)
+    if number != number:
+        raise argparse.ArgumentTypeError(
+            f"{text} is neither a fraction above 0 and at most 1 nor a percentage such as 5%"
+        )
+    return number / 100.0 if percent else number
+
+
 def carried_out(
     parser: Callable[[], Parser],
     carry_out: Callable[[argparse.Namespace], int | None],

@@ -218,19 +218,28 @@ def _max_norm(record: Record, chosen: Setup, rising: Array, size: float, without
 
 def _natural(record: Record, chosen: Setup, rising: Array, _size: float) -> Array:
     """The weights [m, k] of the rule `natural`."""
-    weights, area, stiffness = np.zeros((chosen.count, rising.shape[1])), _areas(record), None
-    length = record.summary.get("smooth")
+    weights = np.zeros((chosen.count, rising.shape[1]))
+    for components, columns, U, product in metrics(record, chosen):
+        left, values, _ = np.linalg.svd(product)
+        kept = values > len(values) * EPS * values[0]
+        inverse = (left[:, kept] / values[kept]) @ left[:, kept].T
+        weights[np.ix_(columns, components)] = inverse @ (U.T @ rising[:, components])
+    return weights
+
+
+def metrics(record: Record, chosen: Setup) -> Iterator[tuple[Array, Array, Array, Array]]:
+    """Per kind of components: which, their columns [r] of U, these [n, r], and U^T (M + l^2 K) U [r, r].
+
+    With the vertices' areas M, the stiffness K of the surface, and the smoothing length l of the run, 0 without one.
+    """
+    area, stiffness, length = _areas(record), None, record.summary.get("smooth")
     if isinstance(length, int | float) and length > 0 and len(record.faces):
         from rbfevo.geometry import sobolev  # with SciPy, which takes a while
 
         stiffness = length**2 * sobolev.stiffness(record.vertices, record.faces)
     for components, columns, U in _columns(record, chosen):
-        metric = area[:, None] * U + (0.0 if stiffness is None else stiffness @ U)
-        left, values, _ = np.linalg.svd(U.T @ metric)
-        kept = values > len(values) * EPS * values[0]
-        inverse = (left[:, kept] / values[kept]) @ left[:, kept].T
-        weights[np.ix_(columns, components)] = inverse @ (U.T @ rising[:, components])
-    return weights
+        weighted = area[:, None] * U + (0.0 if stiffness is None else stiffness @ U)
+        yield components, columns, U, U.T @ weighted
 
 
 def _steepest(record: Record, chosen: Setup, rising: Array, _size: float) -> Array:

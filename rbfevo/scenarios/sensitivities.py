@@ -152,17 +152,65 @@ def wanted(values: Array, normals: Array, areas: Array, weights: Array, kind: st
     return (1.0 if objective == "maximize" else -1.0) * nodal / weights[:, None]
 
 
+class Convention(NamedTuple):
+    """What the values of a sensitivity mean.
+
+    Attributes:
+        kind: `nodal` or `density`; normal: that of scalars, as `scenario.sensitivity_normal`.
+    """
+
+    kind: str
+    normal: str | None
+
+
+ALONG = {
+    None: "its normal",
+    "outward": "its outward normal",
+    "inward": "its inward normal",
+    "as_wound": "its normal as wound in the file",
+}
+FORMS = {"nodal": "nodal (integrated)", "density": "density (per area)"}
+
+
 def _convention(source: str, values: Array, kind: str, choices: Choices) -> str:
-    along = {
-        None: "its normal",
-        "outward": "its outward normal",
-        "inward": "its inward normal",
-        "as_wound": "its normal as wound in the file",
-    }
-    form = f"one value per vertex, along {along[choices.normal]}" if values.ndim == 1 else "three components per vertex"
-    integrated = {"nodal": "nodal (integrated)", "density": "density (per area)"}[kind]
+    form = f"one value per vertex, along {ALONG[choices.normal]}" if values.ndim == 1 else "three components per vertex"
     way = "against" if choices.objective == "minimize" else "along"
-    return f"{source}: {form}, {integrated}; to {choices.objective} the objective, the design should move {way} it"
+    return f"{source}: {form}, {FORMS[kind]}; to {choices.objective} the objective, the design should move {way} it"
+
+
+def convention_in(note: str) -> Convention:
+    """The convention that a run settled on, from its note on the sensitivity.
+
+    Raises:
+        UserError: for another note.
+    """
+    kinds = [kind for kind, form in FORMS.items() if f", {form}; to m" in note]
+    if len(kinds) != 1:
+        raise UserError(f"summary.json does not say what the sensitivity of this run means: {note!r}")
+    listed = (normal for normal, line in ALONG.items() if f"one value per vertex, along {line}, " in note)
+    return Convention(kinds[0], next(listed, None))
+
+
+def nodal(source: str, then: Convention, match: str, template: Template, sides: Sides, areas: Array) -> Array:
+    """The sensitivity dJ/dx [n, 3] of a template, integrated, in the convention in which a run read its own.
+
+    What the file itself says of its values comes first, as it does in a run. Nothing else is asked about again.
+
+    Args:
+        source: as `vertex_array` takes it; match: `scenario.sensitivity_match`; sides, areas: of the template.
+
+    Raises:
+        UserError: for values that cannot be read.
+    """
+    meaning = template.meanings.get(source)
+    kind = (meaning and meaning.kind) or then.kind
+    given = vertex_array(source, template, "sensitivity", match, kind)
+    if given.other_mesh and kind == "nodal":
+        raise UserError(f"{source}: integrated values depend on the cells of their own mesh; give values per area")
+    normals, normal = sides.outward, (meaning and meaning.normal) or then.normal or NORMALS[0]
+    if given.values.ndim == 1:
+        normals = signs.normals(sides, normal, given.values, template.vertices, source, OBJECTIVES[0])
+    return -wanted(given.values, normals, areas, np.ones(len(areas)), kind, OBJECTIVES[0])
 
 
 def _warnings(source: str, values: Array, template: Template, title: str, sides: Sides) -> list[str]:

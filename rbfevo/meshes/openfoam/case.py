@@ -41,14 +41,17 @@ class Case:
 
 
 def case_of(path: Path) -> Case | None:
-    """The case that a directory is, or a time of which it is; None where it is neither.
+    """The case that a directory is, or a time of which it is, or its `constant`; None where it is none of them.
 
-    Without a time it is the newest one with sensitivities, else the newest with a mesh of its own, else none.
+    Without a time it is the newest one with sensitivities, else the newest with a mesh of its own, else none; so it is
+    with CASE/constant.
 
     Raises:
         UserError: if the case is decomposed and what is needed has not been reconstructed, or there is no such time.
     """
     root, time = path, None
+    if path.name == MESH.parent.name and not _is_case(path) and _is_case(path.parent):
+        return Case(path.parent, None, chosen=True) if lists.exists(path / MESH.name / "points") else None
     if not _is_case(path) and _seconds(path.name) is not None and _is_case(path.parent):
         root, time = path.parent, path.name
     if not _is_case(root):
