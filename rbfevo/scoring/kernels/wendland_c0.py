@@ -8,7 +8,6 @@ from rbfevo.geometry.namespaces import namespace
 from rbfevo.scoring.kernels.compact import Compact, support_radius
 from rbfevo.scoring.kernels.kernel import Kernel
 
-
 TIP = 1e-150  # a smaller distance is 0: its reciprocal could be infinite
 
 
