@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import shlex
 import tempfile
 from collections.abc import Sequence
@@ -167,6 +168,7 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
         "upper": record.upper,
         "kernel": np.array(chosen.name),
         "support": np.array(np.nan if chosen.support is None else chosen.support),
+        **({} if chosen.kernel is None else {"kernel_spec": np.array(json.dumps(chosen.kernel.spec()))}),
         "manipulation": np.array(chosen.manipulation),
         "symmetry_axis": np.array("" if mirror is None else "xyz"[mirror.axis]),
         "symmetry_at": np.array(np.nan if mirror is None else mirror.at),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -154,7 +154,7 @@ def step(stepping: Stepping, options: argparse.Namespace) -> int:
         if solution is None:
             return waiting(stepping, show)
         show(*stepping.accept(solution))
-    if options.adapt is not None:
+    if options.adapt is not None and stepping.moves:
         show(*stepping.adapt(options.adapt))
     show(*stepping.propose())
     for warning in stepping.warnings:
@@ -162,7 +162,7 @@ def step(stepping: Stepping, options: argparse.Namespace) -> int:
     return ENDED if stepping.state.ended else 0
 
 
-def waiting(stepping: Stepping, show) -> int:
+def waiting(stepping: Stepping, show: Callable[..., None]) -> int:
     """There is no new solution: write the mesh of the design that waits for one again, at most once.
 
     Raises:

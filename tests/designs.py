@@ -14,7 +14,8 @@ from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
 from torch import Tensor
 
-from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
+from rbfevo.scoring.kernels import Cubic, Gaussian, Kernel, Multiquadric, ThinPlate, Wendland, WendlandC0, WendlandC4
+from rbfevo.scoring.kernels.scaled import Scaled
 
 EPS = np.finfo(np.float64).eps
 
@@ -132,6 +133,15 @@ def exact_phi(kernel: Kernel, r: Any) -> Any:
     if isinstance(kernel, Wendland):
         q = r / mpmath.mpf(kernel.support)
         return (1 - q) ** 4 * (4 * q + 1) if q < 1 else mpmath.mpf(0)
+    if isinstance(kernel, WendlandC0 | WendlandC4):
+        q = r / mpmath.mpf(kernel.support)
+        whole = (1 - q) ** 2 if isinstance(kernel, WendlandC0) else (1 - q) ** 6 * (35 * q**2 + 18 * q + 3) / 3
+        return whole if q < 1 else mpmath.mpf(0)
+    if isinstance(kernel, Scaled):
+        q = r / mpmath.mpf(kernel.scale)
+        if isinstance(kernel, Gaussian):
+            return mpmath.exp(-(q**2))
+        return mpmath.sqrt(1 + q**2) ** (1 if isinstance(kernel, Multiquadric) else -1)
     if isinstance(kernel, ThinPlate):
         return r**2 * mpmath.log(r) if r > 0 else mpmath.mpf(0)
     return r**3

@@ -31,7 +31,7 @@ MISTAKES = {
     "method=nsga2 method.generatons=3": "did you mean method.generations?",
     "method=nsga3": "choose one of cmaes, given, gradient, lloyd, nsga2, ols, panel, random",
     "scenario=sphere": "choose one of face, mesh, plane",
-    "kernel=gauss": "choose one of triharmonic, wendland",
+    "kernel=gauss": "choose one of gaussian, inverse_multiquadric, multiquadric, triharmonic, wendland, wendland_c0, ",
     "manipulation=both": "choose one of direct, indirect",
     "experiment=nope": "choose one of paper",
     "sed=3": "did you mean seed?",

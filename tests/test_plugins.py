@@ -42,7 +42,7 @@ def run(directory: Path, *overrides: str) -> Path:
 @pytest.fixture(scope="module")
 def gaussian(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("gaussian") / "run"
-    return run(directory, "kernel=gaussian", "kernel.width=0.4", "manipulation=direct", *SEARCH)
+    return run(directory, "kernel=bell", "kernel.width=0.4", "manipulation=direct", *SEARCH)
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +64,8 @@ def _importable(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_scores_with_a_kernel_from_outside_are_those_of_its_formula(gaussian: Path) -> None:
     record = read(gaussian)
-    assert record.summary["kernel"] == "gaussian"
-    assert record.title == "plane · gaussian kernel · direct manipulation"
+    assert record.summary["kernel"] == "bell"
+    assert record.title == "plane · bell kernel · direct manipulation"
     for row in record.front[[0, -1]]:
         c = record.centers[row]
         phi, psi = (np.exp(-((cdist(points, c) / 0.4) ** 2)) for points in (record.vertices, c))
@@ -178,7 +178,7 @@ def test_a_kernel_that_is_not_there_any_more_is_told_in_a_line(gaussian: Path) -
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert "the kernel plugged.Gaussian of this run cannot be imported" in done.stderr
+    assert "the kernel plugged.Bell of this run cannot be imported" in done.stderr
 
 
 def test_a_representation_without_closed_form_has_the_gradients_of_its_scores(modes: Path) -> None:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import pyvista
 import trimesh
+from slabs import lifted, ring, saved, strip
 
 from rbfevo import apply, step
 from rbfevo.__main__ import main
 from rbfevo.arrays import Array
 from rbfevo.commands import stepping
 from rbfevo.descent import files
+from rbfevo.descent.sensitivity import NO_SEGMENTS, looking_at
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import read
 from rbfevo.recorded.setup import setup
@@ -320,6 +324,19 @@ def test_mistakes_get_one_line_and_leave_nothing(more: list[str], line: str, loo
     assert not loop.out.exists()
 
 
+def test_a_sensitivity_of_zero_is_the_end_and_a_damaged_state_one_line(loop: Loop, capsys: Any) -> None:
+    points = points_of(loop.template)
+    np.savez(loop.path / "zero.npz", points=points, sensitivity=0.0 * points)
+    zero = ["--sensitivity", str(loop.path / "zero.npz"), "--objective", "3", "--adapt"]
+    assert loop.step(*zero) == step.ENDED
+    assert "no step of this setup gains anything" in "\n".join(lines(capsys))
+    entries = loop.entries()
+    del entries["seen"]
+    (loop.state / "state.json").write_text(json.dumps(entries))
+    assert loop.step(*zero) == 2
+    assert "state.json lacks seen: damaged?" in mistake(capsys)
+
+
 def test_a_mesh_that_is_there_already_is_not_overwritten(loop: Loop, capsys: Any) -> None:
     loop.out.write_text("mine")
     assert loop.step("--objective", "1") == 2
@@ -344,6 +361,90 @@ def test_runs_that_it_cannot_take_are_refused(tmp_path: Path, capsys: Any) -> No
     loop.run = tmp_path / "several"
     assert loop.step() == 2
     assert "this run has several objectives (s, t), and a descent follows one" in mistake(capsys)
+
+
+# --- other designs ----------------------------------------------------------------------------------------------------
+
+
+def outline_loop(path: Path, kind: str, *keys: str) -> Loop:
+    """A run on a slab one cell thick or a curve about the same ellipse, smoothed, and with held and fixed vertices."""
+    loop = object.__new__(Loop)
+    path.mkdir()
+    loop.path, loop.run, loop.state = path, path / "run", path / "state"
+    loop.template, loop.out = path / "outline.vtp", path / "next.vtp"
+    flat = ring(64)
+
+    def solve(points: Array) -> tuple[float, Array]:
+        start = np.concatenate([lifted(flat, 2, h) for h in heights])
+        target = start * [1.03, 0.95, 1.0] + [0.0, 0.02, 0.0]
+        mass = len(points) / 64
+        return float(((points - target) ** 2).sum()) / (2.0 * mass), (points - target) / mass
+
+    heights = (0.0, 0.1) if kind == "slab" else (0.0,)
+    if kind == "slab":
+        saved(strip(64), loop.template)
+    else:
+        around = np.append(np.arange(64), 0)
+        pyvista.PolyData(lifted(flat, 2, 0.0), lines=[65, *around]).save(loop.template)
+    loop.solve = solve
+    loop.start, s = solve(np.asarray(pyvista.read(loop.template).points))
+    np.save(path / "s.npy", s)
+    base = ["scenario=mesh", f"scenario.template={loop.template}", f"scenario.sensitivity={path / 's.npy'}", *LLOYD]
+    base += ["scenario.planar=z", "scenario.smooth=0.2", "scenario.fixed=[null,null,null,-1.7,null,null]", *keys]
+    assert main([*base, f"hydra.run.dir={loop.run}"]) == 0
+    return loop
+
+
+@pytest.mark.parametrize("kind", ["slab", "curve"])
+def test_planar_designs_look_at_their_sensitivity_as_the_run_did(kind: str, tmp_path: Path) -> None:
+    loop = outline_loop(tmp_path / "loop", kind)
+    record = read(loop.run)
+    segments = np.stack([np.arange(64), np.roll(np.arange(64), -1)], axis=1) if kind == "curve" else NO_SEGMENTS
+    points = np.asarray(pyvista.read(loop.template).points)
+    found = looking_at(record, loop.solve(points)[1], segments)
+    np.testing.assert_allclose(found.gradient, record.gradient, atol=1e-13)
+    assert found.gradient_raw is not None
+    assert record.gradient_raw is not None
+    np.testing.assert_allclose(found.gradient_raw, record.gradient_raw, atol=1e-13)
+    assert found.summary["gradient_norm"] == pytest.approx(record.summary["gradient_norm"], rel=1e-12)
+    found = [loop.start]
+    solution = ["--objective", repr(loop.start)]
+    for _ in range(3):
+        assert loop.step(*solution, "--step", "0.005") == 0
+        moved = np.asarray(pyvista.read(loop.out).points)
+        assert np.array_equal(moved[:, 2], points[:, 2])
+        J, s = loop.solve(moved)
+        np.savez(tmp_path / "solution.npz", points=moved, sensitivity=s)
+        solution = ["--sensitivity", str(tmp_path / "solution.npz"), "--objective", repr(J)]
+        found.append(J)
+    assert (np.diff(found) < 0).all()
+
+
+def test_a_volume_mesh_whose_cells_would_turn_is_written_with_a_shorter_step(loop: Loop, capsys: Any) -> None:
+    """A thin shell of prisms about the egg, of which only some are thin."""
+    inner, faces = np.array(egg().vertices), np.array(egg().faces)
+    n, thin = len(inner), np.where(np.array(egg().vertices)[:, 0] > 1.0, 0.985, 0.5)
+    points = np.concatenate([inner, inner * thin[:, None]])
+    cells = np.hstack([np.full((len(faces), 1), 6), faces + n, faces])
+    grid = pyvista.UnstructuredGrid(cells.ravel(), np.full(len(faces), 13), points)
+    mesh, out = loop.path / "shell.vtu", loop.path / "moved.vtu"
+    grid.save(mesh)
+    where = ["--state", str(loop.state), "--mesh", str(mesh), "--out", str(out), "--objective", "9", "--volume"]
+    for way in ("laplace", "rbf"):
+        arguments = [str(loop.run), *PICK, *where, way, "--step", "0.2"]
+        assert step.main(arguments) == 0
+        printed = capsys.readouterr().out
+        shorter = [line for line in printed.splitlines() if line.startswith("shorter step: ")]
+        moved: Any = pyvista.read(out)
+        volumes = moved.compute_cell_sizes()["Volume"]
+        if way == "laplace":
+            assert "inside out or flat" in shorter[0]
+            assert loop.entries()["proposal"]["size"] == 0.2 / 2 ** len(shorter)
+            assert (volumes * np.sign(volumes.sum()) > 0).all()
+            own = np.linalg.norm(np.asarray(moved.points)[n:] - points[n:], axis=1)
+            assert own.max() == 0.0  # the inner wall is held
+            shutil.rmtree(loop.state)
+            out.unlink()
 
 
 # --- killed ----------------------------------------------------------------------------------------------------------

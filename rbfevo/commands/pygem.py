@@ -7,8 +7,13 @@ import numpy as np
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.recorded.setup import Setup
-from rbfevo.scoring.kernels import Cubic, Wendland
+from rbfevo.scoring.kernels import Cubic, Gaussian, InverseMultiquadric, Multiquadric, Wendland
 
+SCALED = {  # PyGeM's multiquadrics are these times the scale, or over it, which changes no deformation
+    Gaussian: "gaussian_spline",
+    Multiquadric: "multi_quadratic_biharmonic_spline",
+    InverseMultiquadric: "inv_multi_quadratic_biharmonic_spline",
+}
 LINEAR = "PyGeM adds a linear polynomial to the RBFs, so it deforms differently between the control points"
 
 
@@ -27,6 +32,8 @@ def parameters(setup: Setup, displacements: Array) -> bytes:
     deformed = original + setup.with_images(displacements)
     if isinstance(setup.kernel, Wendland):
         kernel = ["basis function: beckert_wendland_c2_basis", f"radius: {setup.kernel.support!r}"]
+    elif isinstance(setup.kernel, Gaussian | Multiquadric | InverseMultiquadric):
+        kernel = [f"basis function: {SCALED[type(setup.kernel)]}", f"radius: {setup.kernel.scale!r}"]
     elif isinstance(setup.kernel, Cubic):
         kernel = ["basis function: polyharmonic_spline", "radius: 1.0", "k: 3"]
     else:

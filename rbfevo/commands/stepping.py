@@ -30,6 +30,7 @@ from rbfevo.scenarios.templates import Template
 
 STEP = 0.01
 WEIGHTS = "weights.csv"
+KEPT = ("setup", "adapted", "seen", "waited", "outs")  # in state.json beside the state of the descent
 
 
 class Stepping:
@@ -58,7 +59,12 @@ class Stepping:
             self.more: dict[str, Any] = {"setup": own, "adapted": [], "seen": [], "waited": 0, "outs": []}
         else:
             state, entries = found
-            self.more = {key: entries[key] for key in ("setup", "adapted", "seen", "waited", "outs")}
+            missing = [key for key in KEPT if key not in entries]
+            if missing:
+                raise UserError(
+                    f"{self.where / files.FILE} lacks {', '.join(missing)}: damaged? Begin with another --state"
+                )
+            self.more = {key: entries[key] for key in KEPT}
             self._refuse_other(state, own)
             if self.more["adapted"]:
                 self.run = self.where / self.more["adapted"][-1]["run"]
@@ -71,6 +77,11 @@ class Stepping:
     def state(self) -> State:
         """Where the descent is."""
         return self.descent.state
+
+    @property
+    def moves(self) -> bool:
+        """Whether the best design wants to move anywhere."""
+        return self.state.best is not None and bool(self.state.best.sensitivity.any())
 
     @property
     def out(self) -> Path:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import io
+import json
 import zipfile
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.recorded.record import Record
+from rbfevo.scoring.kernels import kernel_of
+from rbfevo.scoring.representations import RBF
 
 NEEDED = (
     *("centers", "vertices", "faces", "lower", "upper", "kernel", "support", "manipulation"),
@@ -37,7 +41,8 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
     missing = [name for name in NEEDED if name not in arrays]
     if missing:
         raise UserError(f"{path} is no setup.npz of rbfevo.export: it lacks {', '.join(missing)}")
-    if "genotype" in arrays or arrays["kernel"].item() not in ("wendland", "triharmonic"):
+    known = "kernel_spec" in arrays or arrays["kernel"].item() in ("wendland", "triharmonic")
+    if "genotype" in arrays or not known:
         raise UserError(
             f"{path}: its representation, {arrays['kernel'].item()}, cannot be rebuilt from an export; give the run "
             "directory and a pick instead"
@@ -51,6 +56,8 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
         "symmetry": _plane(arrays, "symmetry"),
         "planar": _plane(arrays, "planar"),
     }
+    if "kernel_spec" in arrays:
+        summary["representation"] = _representation(path, arrays["kernel_spec"])
     if "held" in arrays:
         summary["hold_width"] = float(arrays["hold_width"])
     one, n = np.zeros(1), len(vertices)
@@ -72,6 +79,20 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
         held=arrays.get("held"),
     )
     return record, {across: arrays[name] for across, name in ((False, "T"), (True, "T_across")) if name in arrays}
+
+
+def _representation(path: Path, kernel_spec: Array) -> dict[str, Any]:
+    """The representation, as summary.json has it, of a kernel's numbers as JSON.
+
+    Raises:
+        UserError: if its kernel is not known here.
+    """
+    try:
+        spec = json.loads(kernel_spec.item())
+    except (ValueError, TypeError, AttributeError):
+        raise UserError(f"{path} cannot be read: its kernel_spec is damaged") from None
+    made = RBF(kernel_of(spec if isinstance(spec, dict) else {}))
+    return {"name": made.name, **made.spec()}
 
 
 def _plane(arrays: dict[str, Array], name: str) -> dict[str, object] | None:

@@ -216,6 +216,9 @@ class Record:
         if entry("support") is not None:
             kernel += f", support radius {entry('support'):.4g}"
         spec = entry("representation")
+        numbers = spec.get("kernel") if isinstance(spec, dict) else None
+        if isinstance(numbers, dict) and isinstance(numbers.get("scale"), float):
+            kernel += f", scale {numbers['scale']:.4g}"
         if isinstance(spec, dict) and spec.get("name", "rbf") != "rbf":
             kernel = f"representation {spec['name']}"
         return f"{entry('scenario', 'unknown')} · {kernel} · {entry('manipulation', 'unknown')} manipulation"

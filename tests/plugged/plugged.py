@@ -12,8 +12,8 @@ from rbfevo.scoring.kernels import Kernel
 from rbfevo.scoring.representations import Representation, Space
 
 
-class Gaussian(Kernel):
-    name = "gaussian"
+class Bell(Kernel):
+    name = "bell"
     positive_definite = True
 
     def __init__(self, width: float) -> None:
@@ -30,8 +30,8 @@ class Gaussian(Kernel):
         return -2.0 / self.width**2 * self.phi(r)
 
 
-def gaussian(dimension: int, default_support: float, diagonal: float, width: float = 0.3) -> Kernel:
-    return Gaussian(width)
+def bell(dimension: int, default_support: float, diagonal: float, width: float = 0.3) -> Kernel:
+    return Bell(width)
 
 
 class Modes(Representation):

@@ -23,8 +23,8 @@ class Kernel(abc.ABC):
         name: as on the command line.
         support: support radius in model units, or None for a kernel that reaches everywhere.
         positive_definite: whether Psi is positive definite for distinct centers.
-        page: the formula by which `report.html` works out what a setup leaves (`wendland`, `thin_plate`, `cubic`);
-            None where it knows none.
+        page: the formula by which `report.html` works out what a setup leaves (KERNELS in `page/js/2-reach.js`); None
+            where it knows none.
     """
 
     name: str = ""

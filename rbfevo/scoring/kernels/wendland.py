@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-from rbfevo.errors import UserError
-from rbfevo.geometry.lengths import length
+from rbfevo.scoring.kernels.compact import Compact, support_radius
 from rbfevo.scoring.kernels.kernel import Kernel
 
 
-class Wendland(Kernel):
+class Wendland(Compact):
     """(1 - r/s)^4 (4 r/s + 1) for r < s, else 0; positive definite to d = 3.
 
     Raises:
@@ -20,11 +18,6 @@ class Wendland(Kernel):
     name = "wendland"
     positive_definite = True
     page = "wendland"
-
-    def __init__(self, support: float) -> None:
-        if not (isinstance(support, int | float) and math.isfinite(support) and support > 0):
-            raise UserError(f"kernel.support={support}: the support radius must be a positive number, in model units")
-        self._radius = self.support = float(support)
 
     def phi(self, r: Any) -> Any:
         """(1 - q)^4 (4 q + 1) at q = r/s below 1, else 0; of distances of any shape, NumPy or torch."""
@@ -52,6 +45,4 @@ def wendland(
     Raises:
         UserError: unless the dimension is 1, 2 or 3 (beyond that it is not positive definite) and the radius positive.
     """
-    if dimension not in (1, 2, 3):
-        raise UserError(f"Wendland's C2 function is positive definite for up to 3 dimensions, not for {dimension}")
-    return Wendland(default_support if support is None else length("kernel.support", support, diagonal))
+    return Wendland(support_radius("Wendland's C2 function", dimension, default_support, diagonal, support))

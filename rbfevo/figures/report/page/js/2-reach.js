@@ -1,16 +1,21 @@
 // What a setup reaches of the wanted displacement: U U^+ g, by the modified Gram-Schmidt process on [U | g].
 
-/** The kernel at a squared distance. */
-function kernelOf(run) {
-  if (run.formula === "wendland") {
-    const s = run.support;
-    return (r2) => {
-      const q = Math.sqrt(r2) / s;
-      return q < 1 ? (1 - q) ** 4 * (4 * q + 1) : 0;
-    };
-  }
-  return run.formula === "thin_plate" ? (r2) => (r2 > 0 ? 0.5 * r2 * Math.log(r2) : 0) : (r2) => r2 * Math.sqrt(r2);
-}
+/** A kernel with a support radius at a squared distance, from its formula below 1. */
+const compact = (formula) => ({ support }) => (r2) => { const q = Math.sqrt(r2) / support; return q < 1 ? formula(q) : 0; };
+const scaled = (formula) => ({ scale }) => (r2) => formula(r2 / scale ** 2);
+
+/** Kernels at a squared distance, by the name of their formula. */
+const KERNELS = {
+  wendland: compact((q) => (1 - q) ** 4 * (4 * q + 1)),
+  wendland_c0: compact((q) => (1 - q) ** 2),
+  wendland_c4: compact((q) => (1 - q) ** 6 * ((35 * q + 18) * q + 3) / 3),
+  gaussian: scaled((q2) => Math.exp(-q2)),
+  multiquadric: scaled((q2) => Math.sqrt(1 + q2)),
+  inverse_multiquadric: scaled((q2) => 1 / Math.sqrt(1 + q2)),
+  thin_plate: () => (r2) => (r2 > 0 ? 0.5 * r2 * Math.log(r2) : 0),
+  cubic: () => (r2) => r2 * Math.sqrt(r2),
+};
+const kernelOf = (run) => KERNELS[run.formula](run);
 
 /** The image of a center [d] in a run's symmetry plane. */
 function imageOf(center, mirror) {
