@@ -122,3 +122,14 @@ def test_the_tables_of_the_page_are_those_on_disk(tmp_path: Path) -> None:
     assert found
     write(found, command.read_table(command.KNOWN), command.read_table(command.STRATEGIES), page)
     assert page.read_text(encoding="utf-8") == text
+
+
+def test_lines_of_the_table_stay_where_no_file_has_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(command, "RUNS", tmp_path / "runs")
+    kept, replaced = lines("Lloyd 0", "few", steady(188.0)), lines("advised", "few", steady(182.0))
+    command.write(tmp_path / "solver.csv", [*kept, *replaced])
+    (tmp_path / "runs" / "diffuser").mkdir(parents=True)
+    command.write(tmp_path / "runs" / "diffuser" / "advised.csv", lines("advised", "few", steady(170.0)))
+    found = descents(command.collected("*.csv", tmp_path / "solver.csv"))
+    assert {one.setup: one.best[-1] for one in found} == {"advised": 170.0, "Lloyd 0": 188.0}
+    assert all(len(one.best) == 10 for one in found)

@@ -26,6 +26,7 @@ from benchmarks.solver.strategies import SEEDS, searched
 
 RUNS, PAGE, TABLE = ROOT / "outputs" / "solver", ROOT / "docs" / "solver.md", ROOT / "docs" / "solver.csv"
 KNOWN, STRATEGIES = TABLE.with_name("solver-known.csv"), TABLE.with_name("solver-es.csv")
+KEYS = ("case", "setup", "size", "radius", "rule")  # of a descent
 STEEPEST = ("advised", "Lloyd 0")  # families that take steepest descent, too, with the first radius
 
 
@@ -36,14 +37,15 @@ def rules(chosen: Chosen, first: float) -> tuple[str, ...]:
 
 def carry_out(name: str, only: str | None) -> None:
     """The descents of a case that are not there yet, a file each."""
-    plan, case = PLANS[name], case_of(name)
+    plan, case, before = PLANS[name], case_of(name), read_table(TABLE)
     for chosen in setups(case.settings, plan, RUNS / name / "runs"):
         if only is not None and chosen.size != only:
             continue
         for rule in rules(chosen, plan.radii[0]):
             label = f"{chosen.family}-{chosen.size}-{chosen.radius:g}-{rule}".replace(" ", "-")
             part = RUNS / name / f"{label}.csv"
-            if part.exists():
+            own = (name, chosen.family, chosen.size, f"{chosen.radius:.8g}", rule)
+            if part.exists() or any(tuple(line[key] for key in KEYS) == own for line in before):
                 continue
             begin = time.perf_counter()
             lines = descend(case, chosen.record, chosen.setup, rule, plan.step, RUNS / name / label)
@@ -74,7 +76,7 @@ def carry_out_known(name: str) -> None:
 def carry_out_strategies() -> None:
     """The evolution strategy on the bracket, with the recommended few centers and the best setup of 16."""
     plan, case = PLANS["elastic"], case_of("elastic")
-    found = of(descents(collected("*.csv")), case="elastic", rule="max-norm")
+    found = of(descents(collected("*.csv", TABLE)), case="elastic", rule="max-norm")
     best = {size: largest(of(found, size=size)) for size in ("few", "many")}
     if best["few"] is None or best["many"] is None:
         print("elastic: its descents come first")
@@ -107,14 +109,23 @@ def case_of(name: str) -> Any:
     return (Elastic if name == "elastic" else Flow)(name, RUNS / name)
 
 
-def collected(files: str) -> list[dict[str, Any]]:
-    """The lines of all files of the cases by a pattern."""
-    lines: list[dict[str, Any]] = []
-    for name in PLANS:
-        for path in sorted((RUNS / name).glob(files)):
-            with path.open(encoding="utf-8") as file:
-                lines += csv.DictReader(file)
-    return lines
+def collected(files: str, table: Path) -> list[dict[str, Any]]:
+    """The lines of all files of the cases by a pattern, and those of a table that are of none of these files."""
+    found: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for path in [path for name in PLANS for path in sorted((RUNS / name).glob(files))]:
+        for line in read_table(path):
+            found.setdefault(_key(line), []).append(line)
+    here = set(found)
+    for line in read_table(table):
+        if _key(line) not in here:
+            found.setdefault(_key(line), []).append(line)
+    order = list(PLANS)
+    return [line for key in sorted(found, key=lambda key: (order.index(key[0]), key)) for line in found[key]]
+
+
+def _key(line: dict[str, Any]) -> tuple[str, ...]:
+    """What tells the lines of one descent, or of one setup or seed, from those of another."""
+    return tuple(line.get(key, "") for key in (*KEYS, "seed"))
 
 
 def read_table(path: Path) -> list[dict[str, Any]]:
@@ -141,7 +152,7 @@ def main() -> int:
         if options.strategies:
             carry_out_strategies()
         for path, files in ((TABLE, "*.csv"), (KNOWN, "known/*.csv"), (STRATEGIES, "strategies/*.csv")):
-            if lines := collected(files):
+            if lines := collected(files, path):
                 write(path, lines)
     found = descents(read_table(TABLE))
     write_page(found, read_table(KNOWN), read_table(STRATEGIES), PAGE)
