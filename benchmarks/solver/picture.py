@@ -19,7 +19,7 @@ def draw(found: Sequence[Descent], out: Path) -> None:
     from matplotlib import pyplot as plt
 
     cases = list(dict.fromkeys(one.case for one in found))
-    figure, grid = plt.subplots(1, len(cases), figsize=(4.2 * len(cases), 3.6), layout="constrained", squeeze=False)
+    figure, grid = plt.subplots(1, len(cases), figsize=(4.2 * len(cases), 4.2), layout="constrained", squeeze=False)
     for axes, case in zip(grid[0], cases, strict=True):
         shown: Any = axes
         for one in of(found, case=case):
@@ -32,7 +32,10 @@ def draw(found: Sequence[Descent], out: Path) -> None:
         shown.set_title(case, fontsize=10)
         shown.set_xlabel("adjoint solutions after the first", fontsize=9)
         shown.invert_yaxis()
-        shown.legend(fontsize=6.5, frameon=False)
+    handles = {
+        label: handle for axes in grid[0] for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     grid[0][0].set_ylabel("reduction of J [%]", fontsize=9)
     out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, dpi=120)

@@ -152,6 +152,8 @@ def correlations(found: Sequence[Descent], known: Sequence[Entry], after: Sequen
             for one in of(found, case=case, rule="max-norm")
         ]
         pairs = [(one, entry) for one, entry in own if entry is not None]
+        if len(pairs) < 3:
+            continue
         for n in after:
             reductions = np.array([one.reduction(n) for one, _ in pairs])
             values = [spearman(np.array([float(e[key]) for _, e in pairs]), reductions) for key in KNOWN]
