@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from rbfevo.arrays import Array
 from rbfevo.choices import WITHOUT_EFFECT
 from rbfevo.errors import UserError
+from rbfevo.recorded import hydra_files
 from rbfevo.recorded.record import Record, read
 
 # How and where a run was carried out: settings on which its results do not depend.
@@ -107,16 +105,10 @@ def _settings(record: Record, run: Path) -> dict[str, Any]:
     entry = record.summary.get
     settings = {key: entry(key) for key in ("scenario", "kernel", "support", "manipulation", "method")}
     settings |= {"centers": int(record.centers.shape[1]), "seed": entry("seed"), "mesh": mesh_of(record)}
-    path = run / ".hydra" / "config.yaml"
-    if path.is_file():
-        try:
-            config = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-        except (OSError, ValueError, YAMLError, OmegaConfBaseException) as error:
-            raise UserError(f"{path} cannot be read: damaged? ({' '.join(str(error).split())})") from None
-        leaves = dict(_leaves(config)) if isinstance(config, dict) else {}
-        if leaves.get("criterion.norm") == 2:  # as of runs from before there were others
-            del leaves["criterion.norm"]
-        settings |= {key: leaf for key, leaf in leaves.items() if key not in settings and key not in IRRELEVANT}
+    leaves = dict(_leaves(hydra_files.configuration(run) or {}))
+    if leaves.get("criterion.norm") == 2:  # as of runs from before there were others
+        del leaves["criterion.norm"]
+    settings |= {key: leaf for key, leaf in leaves.items() if key not in settings and key not in IRRELEVANT}
     return settings
 
 
