@@ -135,9 +135,14 @@ def design_of(settings: Settings, given: set[str]) -> tuple[Scenario, float]:
     from rbfevo.advice.study import edge
     from rbfevo.runs.config import build
 
+    if settings.keep is not None:
+        raise UserError(f"keep={settings.keep}: recommendations are for setups without centers that stay; leave it out")
     if not settings.representation["_target_"].endswith(".rbf"):
         raise UserError("advise compares kernels and radii of RBFs; leave out representation=")
     scenario: Scenario = build(settings.scenario)
+    if scenario.objectives is not None:
+        listed = ", ".join(scenario.objectives.sources)
+        raise UserError(f"advise looks at one objective at a time: set scenario.sensitivity to one of {listed}")
     sensitivity = scenario.direction_only
     norm = settings.criterion_norm if "criterion.norm" in given else NORM if sensitivity else 2.0
     if sensitivity and settings.scenario.get("smooth", 0) is None and "scenario.smooth" not in given:

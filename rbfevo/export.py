@@ -19,6 +19,8 @@ from rbfevo.errors import UserError
 from rbfevo.files import csv_text, npz, refuse_held, write_whole
 from rbfevo.geometry.lengths import number_or_percentage
 from rbfevo.recorded.moves import RULES, Move, places_of, spatial, wanted_move
+from rbfevo.recorded.objectives import index_of
+from rbfevo.recorded.parameters import design_matrix, orthonormal
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import Setup, setup
@@ -58,6 +60,19 @@ def parser() -> parsers.Parser:
         "displacement of a vertex; natural: the projection of the (smoothed) sensitivity on the columns; steepest: "
         "steepest descent in the parameters of the run's manipulation",
     )
+    made.add_argument(
+        "--objective",
+        metavar="NAME",
+        help="for runs with several objectives: the one that the step follows (default: the weighted sum of their "
+        "sensitivities, each of unit norm)",
+    )
+    made.add_argument(
+        "--keep",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="for runs with several objectives: one that must not get worse, to first order; may be given repeatedly",
+    )
     made.add_argument("--quiet", action="store_true", help="print nothing")
     return made
 
@@ -87,15 +102,20 @@ def carry_out(options: argparse.Namespace) -> None:
     row = pick(record, options.pick)
     if not 0 < options.step <= 1:
         raise UserError(f"--step {options.step:g}: give a fraction of the mesh's diagonal, above 0 and at most 1")
-    if record.vertices.shape[1] == 3 and record.gradient.shape[1] != 3:
+    k = record.alone(0).gradient.shape[1]
+    if record.vertices.shape[1] == 3 and k != 3:
         raise UserError(
-            f"{options.run}: cannot be exported, since its gradient has {record.gradient.shape[1]} components, not the "
-            "three of a displacement in space"
+            f"{options.run}: cannot be exported, since its gradient has {k} components, not the three of a "
+            "displacement in space"
         )
     out = options.out or options.run / f"export-{options.pick.strip().replace(':', '-')}"
     refuse_held(out, FILES, "--out")
     chosen = setup(record, row)
-    move = wanted_move(record, chosen, options.step, options.rule or RULES[0])
+    for option, names in (("--objective", [options.objective or ""]), ("--keep", options.keep)):
+        for name in filter(None, names):
+            index_of(record, name, option)
+    rule = options.rule or RULES[0]
+    move = wanted_move(record, chosen, options.step, rule, options.objective, options.keep)
     if options.rule is not None and not move.direction:
         raise UserError(
             f"--rule {options.rule}: {options.run} has a target, which is approximated; rules are for sensitivities"
@@ -127,8 +147,9 @@ def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, 
         "centers.csv": csv_text(["center", "x", "y", "z", "mirrored", "times"], lines),
         "weights.csv": _numbered(["wx", "wy", "wz"], places, spatial(move.weights)),
     }
-    crosses = chosen.crosses(record.gradient.shape[1])
-    if reason := chosen.immovable(record.gradient.shape[1]):
+    k = move.wanted.shape[1]
+    crosses = chosen.crosses(k)
+    if reason := chosen.immovable(k):
         left_out |= dict.fromkeys(("displacements.csv", "parameters.prm"), reason)
         if chosen.manipulation == "direct":
             left_out["U in setup.npz"] = reason
@@ -174,15 +195,17 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
         "improvement_potential": np.array(chosen.improvement_potential),
         "row": np.array(chosen.row),
     }
+    if "kept" in record.summary:
+        arrays["kept"] = np.array(record.summary["kept"])  # how many of the first centers stayed
+    if record.objectives:
+        arrays |= {"objectives": np.array(record.objectives), "potentials": record.potential_of_each[chosen.row]}
     direct = chosen.manipulation == "direct"
     if direct and singular:
         return arrays
     if chosen.genotype is not None:
         arrays["genotype"] = chosen.genotype
     for name, across in [("U", False), ("U_across", True)][: 2 if crosses else 1]:
-        U = chosen.blended(record.vertices, across)
-        U = U[:, chosen.off_plane] if across else U
-        U = np.linalg.solve(chosen.psi(across).T, U.T).T if direct and U.size else U
+        U = design_matrix(chosen, record.vertices, across)
         Q, T = orthonormal(U, record.weights)
         arrays |= {name: U, name.replace("U", "Q"): Q, name.replace("U", "T"): T}
     if chosen.hold is not None and record.blend is not None:
@@ -190,18 +213,6 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
     if crosses:
         arrays["across"] = chosen.off_plane
     return arrays
-
-
-def orthonormal(U: Array, weights: Array) -> tuple[Array, Array]:
-    """Q [n, m] and upper triangular T [m, m] of U = Q T with Q^T M Q = I, M the vertex weights [n] of the run.
-
-    With parameters q = T p the columns are those of Q, whose regularity is 1 (Richter et al., GECCO 2018). The
-    diagonal of T is not negative.
-    """
-    root = np.sqrt(weights)[:, None]
-    Q, T = np.linalg.qr(root * U)
-    signs = np.where(np.diag(T) < 0, -1.0, 1.0)
-    return Q * signs / root, signs[:, None] * T
 
 
 def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
@@ -220,6 +231,8 @@ def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
         arrays["support"] = np.full(len(physical.points), chosen.support)
     write_dataset(polydata(spatial(physical.points), None, arrays), out / "centers.vtp")
     fields = {"wanted": move.wanted, "reached": move.reached, "left": move.wanted - move.reached}
+    if record.gradients is not None:
+        fields |= {f"wanted {name}": own for name, own in zip(record.objectives, record.gradients, strict=True)}
     fields = {name: spatial(field) for name, field in fields.items()} | {"weights": record.weights}
     faces = record.faces if len(record.faces) else None
     write_dataset(polydata(spatial(record.vertices), faces, fields), out / "template.vtp")
@@ -236,9 +249,10 @@ def closing(
 ) -> list[str]:
     """The lines on the screen."""
     wanted, reached = (float(np.linalg.norm(field, axis=1).max()) for field in (move.wanted, move.reached))
+    plain = "P" if record.gradients is None else "mean P"
     bounded = ""
-    if record.bounded_potential is not None:
-        bounded = f", {record.potential_symbol} = {record.bounded_potential[chosen.row]:.4f}"
+    if record.potential_symbol != plain:
+        bounded = f", {record.potential_symbol} = {record.potential[chosen.row]:.4f}"
     mirror, rule = chosen.mirror, f"{options.rule or RULES[0]} step"
     mirrored = "" if mirror is None else f", mirrored at {'xyz'[mirror.axis]} = {mirror.at:g}"
     size = (
@@ -248,11 +262,14 @@ def closing(
     )
     lines = [
         f"{options.pick.strip()}: row {chosen.row} of {options.run} ({record.origin(chosen.row)}): "
-        f"R = {chosen.regularity:.4g}, P = {chosen.improvement_potential:.4f}{bounded}",
+        f"R = {chosen.regularity:.4g}, {plain} = {chosen.improvement_potential:.4f}{bounded}",
+        *_of_each(record, chosen),
         f"{len(chosen.centers)} centers{mirrored}: {record.title}",
         f"{rule if move.direction else 'best approximation'}: a vertex moves by at most {reached:.4g}"
         + (f" ({size})" if size else f" (wanted: at most {wanted:.4g})"),
         *([] if move.change is None else [f"predicted change of the objective: {move.change:+.4g} (to first order)"]),
+        *_limits(record, move),
+        *_changes(options, record, move),
         *_fixed(record, move),
         f"files: {out}: {', '.join(name for name in FILES if name in written or name.endswith('.vtp'))}",
     ]
@@ -265,6 +282,36 @@ def closing(
     arguments = [str(options.run), "--pick", options.pick.strip(), f"--{what}", str(out / f"{what}.csv")]
     arguments += ["--mesh", str(out / "template.vtp"), "--out", str(out / "deformed.vtp")]
     return [*lines, f"next: python -m rbfevo.apply {shlex.join(arguments)}"]
+
+
+def _limits(record: Record, move: Move) -> list[str]:
+    """How many vertices are at the largest displacement that the run allows them, where that limits the move."""
+    if not move.limited:
+        return []
+    what = "the step is shorter than --step" if move.direction else "the best approximation is scaled down"
+    return [f"scenario.max_displacement: {what}, since {move.limited} vertices move by as much as they may"]
+
+
+def _of_each(record: Record, chosen: Setup) -> list[str]:
+    """The potential of each of several objectives."""
+    listed = record.listed(chosen.row)
+    return [f"{record.symbol_of_each} of each objective: {listed}"] if listed else []
+
+
+def _changes(options: argparse.Namespace, record: Record, move: Move) -> list[str]:
+    """What the step follows, and what it is predicted to change of each of several objectives."""
+    if not move.changes:
+        return []
+    shares = ", ".join(f"{name} {share:.3g}" for name, share in zip(record.objectives, record.shares, strict=True))
+    followed = options.objective or f"the weighted sum of the sensitivities, each of unit norm ({shares})"
+    lines = [f"the step follows {followed}"]
+    for change in move.changes:
+        verdict = change.verdict
+        if change.name in options.keep:
+            verdict = "kept" if change.gain == 0.0 else f"{verdict}, kept without restricting the step"
+        shown = "of unknown size" if change.value is None else f"{change.value:+.4g}"
+        lines.append(f"predicted change of {change.name}: {shown}: {verdict} (to {change.direction}; to first order)")
+    return lines
 
 
 def _fixed(record: Record, move: Move) -> list[str]:

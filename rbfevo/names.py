@@ -10,8 +10,8 @@ The value of a key that is a path (`KEYS`, and `resume`) is read by these rules:
    of the name. `\\${` always is; a backslash right before `${` is written twice.
 3. With -m a comma separates values unless it stands in quotes or in a `${...}` that is filled in. In the directory of a
    run or a sweep, of which there is one, it is part of the name.
-4. Unquoted, `null` is no name, `scenario.fixed=[...]` a box, `method.centers=[...]` a list of files, and with -m
-   `choice(...)` and the like are Hydra's.
+4. Unquoted, `null` is no name, `scenario.fixed=[...]` a box, `method.centers=[...]` a list of files,
+   `scenario.sensitivity=[...]` one of sensitivities, and with -m `choice(...)` and the like are Hydra's.
 5. A leading `~` or `~user` is that user's home, where there is such a user, and else part of the name.
 
 Hydra records its working directory in its configuration, so the path of a run or a sweep may hold `${x}`, but no `${`
@@ -31,10 +31,22 @@ from omegaconf.errors import OmegaConfBaseException
 from rbfevo.errors import UserError
 
 DIRECTORIES = ("hydra.run.dir", "hydra.sweep.dir")
-LISTED = ("scenario.fixed", "scenario.hold", "method.centers")  # a name, a box, or a list of patches or of files
+STARTS = tuple(f"method.{part}start" for part in ("", "nsga2.", "cmaes."))
+# A name, a box, or a list of patches, of files, of boxes or of sensitivities:
+LISTED = (
+    *("scenario.fixed", "scenario.hold", "scenario.inside", "scenario.outside", "scenario.sensitivity"),
+    *("method.centers", *STARTS),
+)
 FILES = ("template", "target", "scan")  # keys of a scenario that name a file
-MAYBE_FILES = (*FILES, "sensitivity", "fixed", "hold")  # the last three may also name an array of the template
-KEYS = (*DIRECTORIES, *(f"scenario.{name}" for name in MAYBE_FILES), "method.centers")
+# May also name an array of the template, or be boxes or numbers:
+MAYBE_FILES = (*FILES, "sensitivity", "fixed", "hold", "max_displacement", "inside", "outside")
+KEYS = (
+    *DIRECTORIES,
+    *(f"scenario.{name}" for name in MAYBE_FILES),
+    "keep",
+    "method.centers",
+    *STARTS,
+)
 SWEEP = ("-m", "--multirun")
 MISSING = "???"  # what stands for a missing value, to OmegaConf
 

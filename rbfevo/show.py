@@ -42,6 +42,7 @@ def parser() -> parsers.Parser:
         help="wanted: the wanted displacement (default); left: the residual, what the setup cannot reach",
     )
     made.add_argument("--shape", choices=SHAPES, default="template", help="the shape to show (default: template)")
+    made.add_argument("--objective", metavar="NAME", help="of several objectives, the one to show (default: the first)")
     made.add_argument("--out", type=Path, metavar="OUT", help="the .png file to write, or a directory for it")
     made.add_argument(
         "--pictures", "--no-display", action="store_true", help="write a picture, even where there is a display"
@@ -68,7 +69,8 @@ def carry_out(options: argparse.Namespace) -> None:
     """
     record = read(options.run)
     chosen = options.pick.strip() if options.pick is not None else _first(record)
-    state = State(record, chosen, _compared(record, options.compare), options.colour, options.shape)
+    other = _compared(record, options.compare)
+    state = State(record, chosen, other, options.colour, options.shape, options.objective)
     if options.here:
         _draw(options, record, state)
         return
@@ -76,6 +78,7 @@ def carry_out(options: argparse.Namespace) -> None:
     command = [sys.executable, "-m", "rbfevo.show", os.path.abspath(options.run), "--here", "--pick", chosen]  # noqa: PTH100
     command += ["--colour", options.colour, "--shape", options.shape]
     command += [] if options.compare is None else ["--compare", options.compare]
+    command += [] if options.objective is None else ["--objective", options.objective]
     if displayed and options.out is None and not options.pictures:
         print("opening a window: press h to list the keys, q to close it", flush=True)
         _run(command, LONGEST, "the window", options.run)
@@ -97,12 +100,13 @@ def has_display(environment: Mapping[str, str], platform: str = sys.platform) ->
     return platform in ("darwin", "win32") or bool(named)
 
 
-def picture_name(chosen: str, compare: str | None, colour: str, shape: str) -> str:
-    """The name of a picture: the picks, and the colouring and the shape where they are not the first ones."""
+def picture_name(chosen: str, compare: str | None, colour: str, shape: str, objective: str | None = None) -> str:
+    """The name of a picture: the picks, and the colouring, the shape and the objective where they are asked for."""
     parts = [chosen.strip(), *(["vs", compare.strip()] if compare is not None else [])]
     parts += [colour] if colour != next(iter(COLOURS)) else []
     parts += [f"{shape}-shape"] if shape != next(iter(SHAPES)) else []
-    return f"show-{'-'.join(parts).replace(':', '-')}.png"
+    parts += [] if objective is None else [objective]
+    return f"show-{'-'.join(parts).replace(':', '-').replace('/', '-')}.png"
 
 
 def _first(record: Record) -> str:
@@ -127,7 +131,7 @@ def _place(options: argparse.Namespace, chosen: str) -> Path:
     Raises:
         UserError: if something is there that is not to be overwritten, or no directory can be made.
     """
-    name = picture_name(chosen, options.compare, options.colour, options.shape)
+    name = picture_name(chosen, options.compare, options.colour, options.shape, options.objective)
     out = options.run / name
     if options.out is not None:
         if options.out.suffix.lower() not in ("", ".png") and not options.out.is_dir():

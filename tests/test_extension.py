@@ -9,7 +9,7 @@ import pytest
 from grids import EDGES, hexahedra
 
 from rbfevo.errors import UserError
-from rbfevo.geometry.extension import extended, laplacian
+from rbfevo.geometry.extension import Extension, laplacian
 
 
 def grid() -> tuple[Any, Any, Any]:
@@ -38,6 +38,10 @@ def dense(points: Any, edges: Any, given: Any, fixed: Any) -> Any:
     return found
 
 
+def extended(points: Any, edges: Any, given: Any, fixed: Any, *options: int, **more: int) -> Any:
+    return Extension(points, edges, fixed, *options, **more)(given)
+
+
 @pytest.mark.parametrize("factorized", [10**6, 0])
 def test_it_solves_the_dense_equations_with_a_mask_for_each_component(factorized: int) -> None:
     points, edges, outer = grid()
@@ -60,6 +64,22 @@ def test_units_do_not_count() -> None:
             extended(points, edges, given, fixed),
             atol=1e-12,
         )
+
+
+@pytest.mark.parametrize("factorized", [10**6, 0])
+def test_the_transpose_and_single_columns_are_those_of_the_dense_matrix(factorized: int) -> None:
+    points, edges, outer = grid()
+    fixed = np.repeat(outer[:, None], 3, axis=1)
+    fixed[points[:, 1] == 0.0] = [False, True, False]
+    n, extension = len(points), Extension(points, edges, fixed, factorized)
+    forces = np.random.default_rng(5).normal(size=points.shape)
+    for component in range(3):
+        identity, mask = np.eye(n), np.repeat(fixed[:, component : component + 1], n, axis=1)
+        matrix = dense(points, edges, identity, mask) * fixed[:, component]
+        np.testing.assert_allclose(extension.carried(component, identity), matrix, rtol=0, atol=1e-9)
+        pulled = extension.transposed(forces)[:, component]
+        np.testing.assert_allclose(pulled, matrix.T @ forces[:, component], rtol=0, atol=1e-8)
+        assert (pulled[~fixed[:, component]] == 0.0).all()
 
 
 @pytest.mark.parametrize("factorized", [10**6, 0])

@@ -164,7 +164,7 @@ def test_h_shows_and_hides_the_keys_and_other_keys_do_nothing(state):
 
 def test_every_key_is_told(state):
     documented = {key for keys, _ in KEYS for key in keys.split()}
-    assert documented == {*scene.NAMED, "Left", "Right", *"cxetvsh", "q", "Escape"}
+    assert documented == {*scene.NAMED, "Left", "Right", *"cxetnvsh", "q", "Escape"}
 
 
 def test_titles_tell_what_a_setup_is_best_at_its_row_and_its_scores(state, record):

@@ -1,9 +1,10 @@
-"""A car-like body with an objective of its own: `python docs/car/body.py car.vtp` makes it, with `--drag` measures it.
+"""A car-like body with objectives of its own: `python docs/car/body.py car.vtp` makes it, with `--drag` measures it.
 
 The body is the zero level of a smooth union of rounded boxes with wheel arches cut out (metres, nose towards -x, up z).
 Its drag is that of Newton's impact theory, which knows nothing but the surface: a face of area A whose outward normal n
 meets the oncoming air with cos t = max(0, -n_x) feels the pressure 2 cos^2 t, so J = sum of 2 A cos^3 t. That stands in
 for a flow solver, and its exact derivative in every vertex, by automatic differentiation, for the adjoint solver's.
+The vertical part of the same pressure is the lift, which is negative where the air presses the body down.
 """
 
 from __future__ import annotations
@@ -79,6 +80,15 @@ def drag(vertices: torch.Tensor, triangles: torch.Tensor) -> torch.Tensor:
     return (2.0 * area * cosine**3).sum()
 
 
+def lift(vertices: torch.Tensor, triangles: torch.Tensor) -> torch.Tensor:
+    """The vertical force that goes with `drag`, upwards, in square metres: the sum of -2 A cos^2 t n_z."""
+    a, b, c = vertices[triangles].unbind(1)
+    twice = torch.linalg.cross(b - a, c - a)
+    area = twice.norm(dim=1) / 2.0
+    cosine = (-twice[:, 0] / (2.0 * area)).clamp_min(0.0)
+    return -(cosine**2 * twice[:, 2]).sum()
+
+
 def of_surface(surface: Any) -> tuple[torch.Tensor, torch.Tensor]:
     """Vertices and triangles of a surface."""
     return (
@@ -91,24 +101,26 @@ def main() -> None:
     """Make the body, or measure the drag of one."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("file", type=Path)
-    parser.add_argument("--drag", action="store_true", help="measure the drag of FILE instead of making it")
+    parser.add_argument("--drag", action="store_true", help="measure drag and lift of FILE instead of making it")
     parser.add_argument("--spacing", type=float, default=0.04, help="of the grid, metres (0.04)")
     options = parser.parse_args()
     if options.drag:
-        print(f"{options.file}: J = {drag(*of_surface(pv.read(options.file))).item():.5f} m^2")
+        measured = of_surface(pv.read(options.file))
+        print(f"{options.file}: J = {drag(*measured).item():.5f} m^2, lift {lift(*measured).item():.5f} m^2")
         return
     surface = body(options.spacing)
     vertices, triangles = of_surface(surface)
     vertices.requires_grad_()
-    value = drag(vertices, triangles)
-    (gradient,) = torch.autograd.grad(value, vertices)
+    value, upwards = drag(vertices, triangles), lift(vertices, triangles)
     surface.clear_data()
-    surface["drag_sensitivity"] = gradient.numpy()
+    surface["drag_sensitivity"] = torch.autograd.grad(value, vertices)[0].numpy()
+    surface["lift_sensitivity"] = torch.autograd.grad(upwards, vertices)[0].numpy()
     near = [np.hypot(surface.points[:, 0] - x, surface.points[:, 2] - z) < 1.15 * RADIUS for x, z in WHEELS]
     surface["wheels"] = (np.any(near, axis=0) & (np.abs(surface.points[:, 1]) > 0.5)).astype(np.float64)
     options.file.parent.mkdir(parents=True, exist_ok=True)
     surface.save(options.file)
-    print(f"{options.file}: {surface.n_points} vertices, {surface.n_cells} triangles, J = {value.item():.5f} m^2")
+    print(f"{options.file}: {surface.n_points} vertices, {surface.n_cells} triangles, J = {value.item():.5f} m^2, "
+          f"lift {upwards.item():.5f} m^2")  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from rbfevo.errors import UserError
+from rbfevo.scoring.fronts import enough_of
 
-ENOUGH = 0.95  # of the largest gain, which the smallest number of centers has to reach
 ALIKE = 0.98  # of the best gain with that number: what the largest radius has to reach
 
 
@@ -59,7 +59,7 @@ def choose(trials: Sequence[Trial]) -> Choice:
     if not useful:
         raise UserError("none of the setups tried moves the design in the wanted direction")
     most = max(useful, key=lambda trial: (trial.gain, -trial.centers))
-    number = min(trial.centers for trial in useful if trial.gain >= ENOUGH * most.gain)
+    number = enough_of([trial.centers for trial in useful], [trial.gain for trial in useful])
     rivals = [trial for trial in useful if trial.centers == number]
     best = max(trial.gain for trial in rivals)
     alike = [trial for trial in rivals if trial.gain >= ALIKE * best]

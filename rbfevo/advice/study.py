@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rbfevo.advice.choice import ENOUGH, Trial
+from rbfevo.advice.choice import Trial
 from rbfevo.methods.gradient.lbfgs import LBFGS
 from rbfevo.methods.lloyd import lloyd
 from rbfevo.methods.method import random_stream
@@ -17,6 +17,7 @@ from rbfevo.methods.nested import nested_of
 from rbfevo.scenarios.coarse import coarsened
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.fronts import ENOUGH
 from rbfevo.scoring.kernels import Kernel
 from rbfevo.scoring.representations import RBF
 
@@ -101,7 +102,7 @@ class Study:
 
     def _bounded(self, design: Scenario, kernel: Kernel) -> BoundedPotential:
         given = design.vertices, design.gradient, kernel, self.norm
-        return BoundedPotential(*given, design.weights, design.blend, design.mirror)
+        return BoundedPotential(*given, design.weights, design.blend, design.mirror, design.max_displacement)
 
     def found(self, kernel: Kernel) -> Found:
         """Nested and Lloyd's setups of all numbers of centers, of one kernel, which has the support radius."""

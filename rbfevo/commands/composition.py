@@ -17,7 +17,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from rbfevo import names
-from rbfevo.commands import overrides
+from rbfevo.commands import combinations, overrides
 from rbfevo.errors import UserError
 from rbfevo.files import write_whole
 from rbfevo.runs.config import CONF
@@ -64,10 +64,11 @@ def start(task: Callable[[DictConfig], None], arguments: Sequence[str]) -> None:
         sys.argv = ["rbfevo", *arguments, none]
         hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")(task)()
         return
-    with overrides.initialized(CONF) as made:
+    for_all, held, swept = combinations.held_back(settings, CONF) if mode == "MULTIRUN" else (settings, [], None)
+    with overrides.initialized(CONF) as made, combinations.apart(settings, held, swept):
         # Its own command line composes the configuration once more, to look for hydra.mode: a tenth of a second.
         begin = made.multirun if mode == "MULTIRUN" else made.run
-        begin(config_name="config", task_function=task, overrides=[*settings, none, f"hydra.mode={mode}"])
+        begin(config_name="config", task_function=task, overrides=[*for_all, none, f"hydra.mode={mode}"])
 
 
 def _refuse_options(arguments: Sequence[str]) -> None:

@@ -10,8 +10,13 @@ import signal
 import subprocess
 import sys
 import tempfile
+<<<<<<< HEAD
 import time
+=======
+import threading
+>>>>>>> main
 import uuid
+from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
@@ -31,6 +36,7 @@ from rbfevo.errors import UserError
 from rbfevo.runs.config import RunConfig, check_top
 
 SKIPPED = -1
+LONGEST = 3600  # seconds that a sweep is collected: each nested sequence may take two minutes
 
 
 class Leader:
@@ -209,11 +215,44 @@ def carry_out_sweep(arguments: list[str]) -> int:
 
 def collect(directory: Path, quiet: bool) -> None:
     """Make the tables and the page of a sweep, in a process of its own; what goes wrong there is one line."""
+    command = [sys.executable, "-m", "rbfevo.collect", str(directory)]
+    late = threading.Event()
     try:
-        command = [sys.executable, "-m", "rbfevo.collect", str(directory)]
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=600)
-    except (OSError, subprocess.SubprocessError) as error:
+        with (
+            tempfile.TemporaryFile("w+") as complaints,
+            subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=complaints, text=True
+            ) as process,
+            _ended(process, late),
+        ):
+            for line in process.stdout or ():  # a nested sequence may take minutes: its line comes before
+                print("" if quiet else line, end="", flush=True)
+            code = process.wait()
+            complaints.seek(0)
+            error = complaints.read()
+    except OSError as error:
         parsers.complain("rbfevo", f"the sweep was not collected: {error}")
         return
-    print("" if quiet else done.stdout, end="", flush=True)
-    print(done.stderr if done.returncode in (0, 2) else done.stderr[-500:], end="", file=sys.stderr, flush=True)
+    if late.is_set():
+        parsers.complain("rbfevo", f"the sweep was not collected: it was not done after {LONGEST} s")
+    print(error if code in (0, 2) else error[-500:], end="", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def _ended(process: subprocess.Popen[str], late: threading.Event) -> Iterator[None]:
+    """End a process after `LONGEST` seconds, and where this one is interrupted."""
+
+    def end() -> None:
+        late.set()
+        process.kill()
+
+    timer = threading.Timer(LONGEST, end)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    except BaseException:
+        process.kill()
+        raise
+    finally:
+        timer.cancel()

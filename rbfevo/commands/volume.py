@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
@@ -14,6 +15,9 @@ from rbfevo.meshes.faces import Between
 from rbfevo.meshes.mesh import Mesh
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import Setup
+
+if TYPE_CHECKING:
+    from rbfevo.geometry.extension import Extension
 
 JUMP = 0.01  # of the largest displacement: a rim that moves more beside held points gets a warning
 ROUNDING = 1e-6  # of the same: a point that moves less across a symmetry plane stays in it
@@ -30,6 +34,43 @@ class Carried(NamedTuple):
     line: str
     leaving: str
     jump: str
+
+
+class Carrier(NamedTuple):
+    """What carries displacements of a setup into a volume mesh.
+
+    Attributes:
+        constraints: on its points; follows: [n, 3] where a displacement is the setup's; extension: to all others.
+    """
+
+    constraints: Constraints
+    follows: NDArray[np.bool_]
+    extension: Extension
+
+
+def carrier(
+    mesh: Mesh,
+    faces: Between,
+    vertices: Array,
+    chosen: Setup,
+    design: Sequence[str] = (),
+    slip: Sequence[str] = (),
+) -> Carrier:
+    """Prepare a volume mesh for displacements of a setup of a run with these vertices [v, 3]; arguments as `carried`.
+
+    Raises:
+        UserError: if the run or the mesh is not for it, or patches are not there.
+    """
+    from rbfevo.geometry.extension import Extension  # with SciPy
+
+    if vertices.shape[1] != 3:
+        raise UserError("--volume laplace carries displacements of a surface in space, and this run is on the plane")
+    mirror = None if chosen.mirror is None else Plane(chosen.mirror.axis, chosen.mirror.at)
+    planar = chosen.planar
+    sides = [] if planar is None else [Plane(planar.axis, planar.at + s * planar.depth) for s in (-1.0, 1.0)]
+    found = constraints(mesh, faces, vertices, mirror, sides, design, slip)
+    follows = found.design[:, None] | (found.loose[:, None] & ~found.slip)
+    return Carrier(found, follows, Extension(mesh.points, found.edges, found.fixed))
 
 
 def carried(
@@ -49,24 +90,14 @@ def carried(
     Raises:
         UserError: if the run or the mesh is not for it, patches are not there, or the solver does not converge.
     """
-    from rbfevo.geometry.extension import extended  # with SciPy
-
-    if record.vertices.shape[1] != 3:
-        raise UserError("--volume laplace carries displacements of a surface in space, and this run is on the plane")
-    mirror = None if chosen.mirror is None else Plane(chosen.mirror.axis, chosen.mirror.at)
-    planar = chosen.planar
-    sides = [] if planar is None else [Plane(planar.axis, planar.at + s * planar.depth) for s in (-1.0, 1.0)]
-    found = constraints(mesh, faces, record.vertices, mirror, sides, design, slip)
-    given = displacement.copy()
-    given[found.held] = 0.0
-    given[found.slip & ~found.design[:, None]] = 0.0
-    moved = extended(mesh.points, found.edges, given, found.fixed)
+    found, follows, extension = carrier(mesh, faces, record.vertices, chosen, design, slip)
+    moved = extension(np.where(follows, displacement, 0.0))
     largest = float(np.linalg.norm(displacement[found.design], axis=1).max(initial=0.0))
     return Carried(
         moved,
         _line(mesh, found, slip),
-        _leaving(mesh, found, displacement, largest),
-        _jump(mesh, found, moved, largest),
+        leaving(mesh, found, displacement, largest),
+        jump(mesh, found, moved, largest),
     )
 
 
@@ -84,7 +115,7 @@ def _line(mesh: Mesh, found: Constraints, slip: Sequence[str]) -> str:
     )
 
 
-def _leaving(mesh: Mesh, found: Constraints, displacement: Array, largest: float) -> str:
+def leaving(mesh: Mesh, found: Constraints, displacement: Array, largest: float) -> str:
     """How many points of the design surface leave a symmetry plane, and what to do; empty if none does."""
     across = np.where(found.slip & found.design[:, None], np.abs(displacement), 0.0)
     bad = across.max(axis=1) > ROUNDING * largest
@@ -98,7 +129,7 @@ def _leaving(mesh: Mesh, found: Constraints, displacement: Array, largest: float
     )
 
 
-def _jump(mesh: Mesh, found: Constraints, moved: Array, largest: float) -> str:
+def jump(mesh: Mesh, found: Constraints, moved: Array, largest: float) -> str:
     """How far points of the design surface beside held ones move, and what to do; empty if they hardly do."""
     edges = np.concatenate([found.rim, found.rim[:, ::-1]])
     edges = edges[found.design[edges[:, 0]] & found.held[edges[:, 1]]]

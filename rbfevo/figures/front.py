@@ -164,6 +164,8 @@ def _subtitle(record: Record) -> str:
     hypervolume = record.summary.get("hypervolume")
     if isinstance(hypervolume, int | float):
         parts.append(f"hypervolume {hypervolume:.5g}")
+    if record.objectives:
+        parts.append(record.combination)
     parts.append(f"{record.centers.shape[1]} center{'s' * (record.centers.shape[1] != 1)}")
     if record.summary.get("seed") is not None:
         parts.append(f"seed {record.summary['seed']}")

@@ -21,11 +21,11 @@ class Pane:
 
     def __init__(self, plotter: Any, place: int, record: Record, fields: Fields) -> None:
         plotter.subplot(0, place)
-        self._plotter, self._place, self._fields = plotter, place, fields
+        self._plotter, self._place = plotter, place
         vertices, faces = fields.points(0, "template"), record.faces
         self.mesh = pyvista.PolyData.from_regular_faces(vertices, faces) if len(faces) else pyvista.PolyData(vertices)
         self.mesh["values"] = fields.values(0, "wanted")
-        self._shape, self._smooth = (), len(faces) > 0
+        self._shape, self._smooth, self._highest = (), len(faces) > 0, fields.highest
         self.surface = plotter.add_mesh(
             self.mesh,
             scalars="values",
@@ -41,20 +41,23 @@ class Pane:
         self.surface.prop.interpolation = "Phong"
         self._balls: Any = pyvista.Sphere(radius=fields.radius, theta_resolution=20, phi_resolution=20)
 
-    def show(self, row: int, colour: str, shape: str) -> None:
-        """Show setup `row` in a colouring and a shape."""
-        drawn = shape, row if shape == "reached" else None
+    def show(self, row: int, colour: str, shape: str, fields: Fields) -> None:
+        """Show setup `row` in a colouring and a shape, with the displacements of one objective."""
+        drawn = shape, row if shape == "reached" else None, None if shape == "template" else id(fields)
+        if fields.highest != self._highest:
+            self._highest = fields.highest
+            self.surface.mapper.scalar_range = (0.0, fields.highest)
         if drawn != self._shape:
             self._shape = drawn
-            self.mesh.points = self._fields.points(row, shape)
+            self.mesh.points = fields.points(row, shape)
             if self._smooth:
                 smooth: Any = self.mesh.compute_normals(
                     cell_normals=False, split_vertices=False, consistent_normals=False
                 )
                 self.mesh.point_data.active_normals = smooth["Normals"]
-        self.mesh["values"] = self._fields.values(row, colour)
+        self.mesh["values"] = fields.values(row, colour)
         self._plotter.subplot(0, self._place)
-        places, mirrored = self._fields.centers(row, shape)
+        places, mirrored = fields.centers(row, shape)
         colours = np.where(mirrored[:, None], pyvista.Color(IMAGE).int_rgb, pyvista.Color(style.RED).int_rgb)
         cloud = pyvista.PolyData(places)
         cloud["colour"] = colours.astype(np.uint8)

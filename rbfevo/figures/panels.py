@@ -18,6 +18,7 @@ from rbfevo.figures import style
 from rbfevo.recorded.picks import best
 from rbfevo.recorded.record import Record, knee
 
+NAMED = 3  # objectives at most whose potentials stand over a panel
 LEFT, RIGHT, TOP, BOTTOM, GAP = 0.95, 1.05, 1.12, 0.5, 0.24  # inches
 
 
@@ -121,6 +122,8 @@ def _head(axes: Axes, record: Record, choice: Choice) -> None:
     source, preference = record.origin(choice.index), record.preference[choice.index]
     if np.isfinite(preference):
         source += f", preference {preference:g}"
+    if 0 < len(record.objectives) <= NAMED:
+        source += f": {record.listed(choice.index)}"
     for text, height, look in (
         (choice.title, 32, {"weight": "bold", "fontsize": 10}),
         (f"R = {R:.4g}   {record.potential_symbol} = {P:.4g}", 19, {}),

@@ -10,6 +10,7 @@ from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.figures.local_error import local_error
 from rbfevo.recorded.moves import spatial
+from rbfevo.recorded.objectives import index_of
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import setup
@@ -24,6 +25,7 @@ KEYS = (
     ("x", "swap the two setups"),
     ("e", "colours: wanted displacement, residual"),
     ("t", "shape: template, within reach, wanted"),
+    ("n", "next objective, of several"),
     ("v", "first view again"),
     ("s", "save a picture beside the run"),
     ("h", "show or hide the keys"),
@@ -41,19 +43,26 @@ class State:
     Attributes:
         record: the run; names: the rows of its named setups, those that it has.
         row: the setup shown; other: the one it is compared with, or None.
-        colour, shape: keys of COLOURS and SHAPES.
+        colour, shape: keys of COLOURS and SHAPES; objective: of several, the one whose displacements are shown.
         preference: where the slider stands, from 0 (improvement potential) to 1 (regularity).
         keys_shown: whether the list of keys is shown; message: the answer to the last key, or "".
     """
 
     def __init__(
-        self, record: Record, choice: str, other: int | None = None, colour: str = "wanted", shape: str = "template"
+        self,
+        record: Record,
+        choice: str,
+        other: int | None = None,
+        colour: str = "wanted",
+        shape: str = "template",
+        objective: str | None = None,
     ) -> None:
         """Start with the setup that `choice` picks (`rbfevo.recorded.picks`).
 
         Raises:
-            UserError: if there is no such setup, or this run does not hold what `colour` or `shape` needs.
+            UserError: if there is no such setup or objective, or this run does not hold what `colour` or `shape` needs.
         """
+        self.objective = 0 if objective is None else index_of(record, objective, "--objective")
         self.record, self.row, self.other = record, pick(record, choice), other
         self.names = {}
         for name in NAMED.values():
@@ -103,6 +112,9 @@ class State:
             self.colour = self._next(self.colour, COLOURS, self._no_colour)
         elif key == "t":
             self.shape = self._next(self.shape, SHAPES, self._no_shape)
+        elif key == "n":
+            self.objective = (self.objective + 1) % max(1, len(self.record.objectives))
+            self.message = "" if self.record.objectives else "this run has one objective"
         elif key == "h":
             self.keys_shown = not self.keys_shown
         else:
@@ -137,7 +149,8 @@ class State:
         first = ", ".join([*names, f"row {row}"])
         return [
             f"{first} ({source})",
-            f"R = {record.regularity[row]:.4g}   {record.potential_symbol} = {record.potential[row]:.4f}",
+            f"R = {record.regularity[row]:.4g}   {record.potential_symbol} = {record.potential[row]:.4f}"
+            + (f"   ({record.listed(row)})" if record.objectives else ""),
         ]
 
     def slider_title(self) -> str:
@@ -192,7 +205,7 @@ class State:
 
 def _refusals(record: Record) -> tuple[dict[str, str], dict[str, str]]:
     """The colours and the shapes in which this run cannot be shown, with the reasons."""
-    colours, shapes, (d, k) = {}, {}, (record.vertices.shape[1], record.gradient.shape[1])
+    colours, shapes, (d, k) = {}, {}, (record.vertices.shape[1], record.alone(0).gradient.shape[1])
     try:
         setup(record, int(record.usable[0]))
     except UserError as error:
@@ -205,6 +218,8 @@ def _refusals(record: Record) -> tuple[dict[str, str], dict[str, str]]:
 
 class Fields:
     """The arrays that are drawn: points and colours of the template, and centers; a plane lies at z = 0.
+
+    Of several objectives they are those of one of them.
 
     Attributes:
         highest: the value [model units, or unit norm] at which the colours end: the largest wanted displacement of a

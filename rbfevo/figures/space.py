@@ -26,8 +26,11 @@ EXAGGERATED = (
 ONE_STEP = 0.05  # the same for a sensitivity
 
 
-def rows(record: Record, choices: list[Choice], opengl: bool) -> tuple[list[Row], float]:
-    """Return the rows of panels for `choices`, by OpenGL or by matplotlib alone, and their height in inches."""
+def rows(record: Record, choices: list[Choice], opengl: bool, whole: Record | None = None) -> tuple[list[Row], float]:
+    """Return the rows of panels for `choices`, by OpenGL or by matplotlib alone, and their height in inches.
+
+    Of one of several objectives, `whole` is the run with all of them, which have one view; shapes are left out.
+    """
     unit = "local error [model units]" if record.gradient_norm else "local error (unit norm)"
     first = "initial local error"
     if record.summary.get("gradient_is") == "direction":
@@ -40,12 +43,14 @@ def rows(record: Record, choices: list[Choice], opengl: bool) -> tuple[list[Row]
     }
     factor, remark = stretch(record, errors)
     shapes = {}
-    if known and record.gradient.shape[1] == 3:
+    if known and record.gradient.shape[1] == 3 and whole is None:
         shapes = {choice.index: record.vertices + factor * np.asarray(choice.reached) for choice in choices}
     centers = [_with_images(record, choice.index) for choice in choices]
     diagonal = float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
     radius = 0.0125 * diagonal * min(1.0, np.sqrt(25 / max(record.centers.shape[1], 1)))
-    view = view_of(np.concatenate([record.vertices, *centers, *shapes.values()]), 2 * radius, *standpoint(record))
+    view = view_of(
+        np.concatenate([record.vertices, *centers, *shapes.values()]), 2 * radius, *standpoint(whole or record)
+    )
     panel = functools.partial(_panel, record, view, radius, surface.render if opengl else surface.project)
 
     colors = Colors(Normalize(0.0, scale * float(errors.max())), style.ERROR)

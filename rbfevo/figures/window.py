@@ -43,7 +43,8 @@ class Window:
         Raises:
             RuntimeError: if there is no display to open a window on.
         """
-        self.state, self._run, self._fields = state, run, Fields(record)
+        self.state, self._run = state, run
+        self._of_each = [Fields(alone) for alone in record.each()]
         self.plotter: Any = pyvista.Plotter(shape=(1, 3), border=False, off_screen=off_screen, window_size=list(SIZE))
         kind = self.plotter.render_window.GetClassName()
         if not off_screen and kind in WINDOWLESS:  # VTK would warn, go on without a window and wait forever
@@ -57,6 +58,11 @@ class Window:
         self._redraw()
         if off_screen:
             self.plotter.show(auto_close=False)
+
+    @property
+    def _fields(self) -> Fields:
+        """Those of the objective that is shown."""
+        return self._of_each[self.state.objective]
 
     def open(self) -> None:
         """Open the window and return when it is closed."""
@@ -228,7 +234,7 @@ class Window:
             renderer.SetDraw(shown)
             self._heads[place].SetVisibility(shown)
             if shown:
-                self._panes[place].show(rows[place], state.colour, state.shape)
+                self._panes[place].show(rows[place], state.colour, state.shape, fields)
                 self._heads[place].input = "\n".join(state.titles(rows[place]))
         width, height = self.plotter.window_size
         wide = width / len(rows) / (height * (HIGH - LOW))  # width of a pane over its height
@@ -237,7 +243,8 @@ class Window:
         camera.parallel_scale = camera.parallel_scale * scale / self._scale if self._scale else scale  # keeps a zoom
         self._scale = scale
         self._subtitle.input = self._description()
-        self._measured.input = f"{COLOURS[state.colour]} {fields.unit}"
+        of = f" for {state.record.objectives[state.objective]}" if state.record.objectives else ""
+        self._measured.input = f"{COLOURS[state.colour]}{of} {fields.unit}"
         self._message.input = state.message or ("" if state.keys_shown else "h: keys")
         self._decorate(True)
         if self._slider is not None:

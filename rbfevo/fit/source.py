@@ -5,20 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from rbfevo.errors import UserError
-from rbfevo.names import MAYBE_FILES, existing_home, file_and_name, literal
 from rbfevo.recorded.record import Record
-from rbfevo.runs.config import build, check
+from rbfevo.runs.config import build
+from rbfevo.runs.source import refuse_changed, settings_of
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.kernels import Kernel
-
-SAME = 1e-9  # how far vertices and gradient may be from those of the files, which another machine may have rounded
 
 
 class Source(NamedTuple):
@@ -39,18 +34,7 @@ def rebuild(run: Path, record: Record) -> Source:
     """
     if record.genotype is not None:
         raise UserError(f"{run}: only setups of centers (representation=rbf) can be fitted")
-    config = _load(run / ".hydra" / "config.yaml")
-    for name in MAYBE_FILES:
-        path = OmegaConf.select(config, f"scenario.{name}")
-        here = existing_home(file_and_name(path)[0]).exists() if isinstance(path, str) else True
-        if not here and (run / ".hydra" / "hydra.yaml").exists():
-            before = _began_in(run)
-            if before is not None and (before / file_and_name(str(before / path))[0]).exists():
-                config.scenario[name] = literal(str(before / path))
-    try:
-        settings = check(config)
-    except UserError as error:
-        raise UserError(f"{run / '.hydra' / 'config.yaml'} is not the configuration of a run: {error}") from None
+    settings = settings_of(run)
     try:
         scenario = build(settings.scenario)
         kernel: Kernel = build(settings.kernel, scenario.vertices.shape[1], scenario.support, scenario.diagonal)
@@ -63,31 +47,5 @@ def rebuild(run: Path, record: Record) -> Source:
         if recorded[name] != value:
             raise UserError(f"{run}: {name} is {recorded[name]} in summary.json and {value} in .hydra/config.yaml; "
                             "restore the file that was changed")  # fmt: skip
-    for name in ("vertices", "faces", "gradient", "weights"):
-        now, then = getattr(scenario, name).numpy(), getattr(record, name)
-        if now.shape != then.shape or not np.allclose(now, then, rtol=0.0, atol=SAME):
-            raise UserError(
-                f"{run}: {name} of the scenario changed since this run scored its setups "
-                "(was a file of the scenario replaced?); start a new run"
-            )
+    refuse_changed(run, scenario, record)
     return Source(scenario, kernel, settings.manipulation)
-
-
-def _began_in(run: Path) -> Path | None:
-    """The directory that a run was started from; Hydra writes it literally, so nothing in it is filled in."""
-    runtime = OmegaConf.select(_load(run / ".hydra" / "hydra.yaml"), "hydra.runtime")
-    entries = OmegaConf.to_container(runtime, resolve=False) if isinstance(runtime, DictConfig) else {}
-    before = entries.get("cwd") if isinstance(entries, dict) else None
-    return Path(before) if isinstance(before, str) else None
-
-
-def _load(path: Path) -> DictConfig:
-    try:
-        config = OmegaConf.load(path)
-    except FileNotFoundError:
-        raise UserError(f"{path} is missing: it is needed to build the scenario of this run again") from None
-    except (OSError, ValueError, YAMLError, OmegaConfBaseException) as error:
-        raise UserError(f"{path} cannot be read: {' '.join(str(error).split())}") from None
-    if not isinstance(config, DictConfig):
-        raise UserError(f"{path} cannot be read: it holds no configuration")
-    return config

@@ -10,6 +10,8 @@ is the same inside, and none exceeds the largest at a fixed point (the maximum p
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csc_array, csr_array, diags_array
@@ -45,50 +47,118 @@ def laplacian(points: Array, edges: Ints) -> csr_array:
     return csr_array(diags_array(neighbours.sum(axis=1)) - neighbours)
 
 
-def extended(
-    points: Array, edges: Ints, displacement: Array, fixed: Mask, factorized: int = FACTORIZED, steps: int = STEPS
-) -> Array:
-    """Displacements [n, k]: those given where they are fixed, bit by bit, and carried along the edges elsewhere.
+class Extension:
+    """The linear map from displacements at fixed places of a mesh to those of all its points, and its transpose.
 
-    Parts of the mesh without a fixed point do not move.
+    Where displacements are fixed they are kept bit by bit; parts of the mesh without a fixed point do not move.
 
     Args:
         points: [n, 3], model units; edges: [e, 2] into points, each once.
-        displacement: [n, k], its entries at fixed places count; fixed: [n, k], for each component apart.
-        factorized: up to how many unknowns the matrix is factorized; above, conjugate gradients take at most `steps`.
+        fixed: [n, k], for each component apart.
+        factorized: up to how many unknowns the matrix is factorized, once for components with the same points fixed;
+            above, conjugate gradients take at most `steps` for each component.
 
     Raises:
-        UserError: if edges have no length, or conjugate gradients do not converge.
+        UserError: if edges have no length.
     """
-    matrix = laplacian(points, edges)
-    piece = connected_components(matrix, directed=False)[1]
-    found = np.where(fixed, displacement, 0.0)
-    for mask in np.unique(fixed, axis=1).T:
-        components = np.flatnonzero((fixed == mask[:, None]).all(axis=0))
-        reached = np.bincount(piece, mask) > 0
-        free, known = np.flatnonzero(~mask & reached[piece]), np.flatnonzero(mask)
-        if len(free):
+
+    def __init__(
+        self, points: Array, edges: Ints, fixed: Mask, factorized: int = FACTORIZED, steps: int = STEPS
+    ) -> None:
+        matrix = laplacian(points, edges)
+        piece = connected_components(matrix, directed=False)[1]
+        self.fixed, self._parts = fixed, []
+        for mask in np.unique(fixed, axis=1).T:
+            components = np.flatnonzero((fixed == mask[:, None]).all(axis=0))
+            reached = np.bincount(piece, mask) > 0
+            free, known = np.flatnonzero(~mask & reached[piece]), np.flatnonzero(mask)
             rows = matrix[free]
-            right = -(rows[:, known] @ found[np.ix_(known, components)])
-            found[np.ix_(free, components)] = _solution(rows[:, free], right, factorized, steps)
-    return found
+            solver = _Solver(rows[:, free], factorized, steps) if len(free) else None
+            self._parts.append(_Part(components, free, known, rows[:, known], solver))
+
+    def __call__(self, displacement: Array) -> Array:
+        """Displacements [n, k] of all points; of those given [n, k] the entries at fixed places count.
+
+        Raises:
+            UserError: if conjugate gradients do not converge.
+        """
+        found = np.where(self.fixed, displacement, 0.0)
+        for part in self._parts:
+            found[:, part.components] = part.carried(found[:, part.components])
+        return found
+
+    def carried(self, component: int, columns: Array) -> Array:
+        """Columns [n, r] of displacements along one component, carried as `__call__` does; errors alike."""
+        found = np.where(self.fixed[:, component, None], columns, 0.0)
+        return self._part(component).carried(found)
+
+    def transposed(self, forces: Array) -> Array:
+        """The transpose: from derivatives [n, k] by all displacements to those by the fixed ones, 0 at other places.
+
+        Raises:
+            UserError: if conjugate gradients do not converge.
+        """
+        found = np.zeros_like(forces)
+        for part in self._parts:
+            found[:, part.components] = part.pulled(forces[:, part.components])
+        return found
+
+    def _part(self, component: int) -> _Part:
+        return next(part for part in self._parts if component in part.components)
 
 
-def _solution(matrix: csr_array, right: Array, factorized: int, steps: int) -> Array:
-    """x [n, k] of A x = b for a symmetric positive definite A [n, n], scaled so that its diagonal is 1."""
-    scale = 1.0 / np.sqrt(matrix.diagonal())
-    scaled = csr_array(diags_array(scale) @ matrix @ diags_array(scale))
-    right = scale[:, None] * right
-    if len(scale) <= factorized:
-        options = {"SymmetricMode": True, "DiagPivotThresh": 0.0}
-        return scale[:, None] * splu(csc_array(scaled), permc_spec="MMD_AT_PLUS_A", options=options).solve(right)
-    found = np.zeros_like(right)
-    for column in range(right.shape[1]):
-        found[:, column], failed = cg(scaled, right[:, column], rtol=RESIDUAL, maxiter=steps)
-        if failed:
-            residual = np.linalg.norm(scaled @ found[:, column] - right[:, column]) / np.linalg.norm(right[:, column])
-            raise UserError(
-                f"the Laplacian of {len(scale)} points did not converge in {steps} steps: the residual is "
-                f"{residual:.1e} of the right-hand side, {RESIDUAL:.0e} is wanted; are edges extremely short?"
-            )
-    return scale[:, None] * found
+class _Part(NamedTuple):
+    """Components with the same points fixed: which they are, free and known points, and the rows of the free ones.
+
+    Attributes:
+        coupling: [f, h] of the Laplacian, between free and known points; solver: of its square part, None without.
+    """
+
+    components: Ints
+    free: Ints
+    known: Ints
+    coupling: csr_array
+    solver: _Solver | None
+
+    def carried(self, values: Array) -> Array:
+        """Values [n, r], which are 0 at points that are not known, with those of the free points."""
+        found = values.copy()
+        if self.solver is not None:
+            found[self.free] = self.solver(-(self.coupling @ values[self.known]))
+        return found
+
+    def pulled(self, forces: Array) -> Array:
+        """The transpose: what known points take of forces [n, r], 0 elsewhere."""
+        found = np.zeros_like(forces)
+        found[self.known] = forces[self.known]
+        if self.solver is not None:
+            found[self.known] -= self.coupling.T @ self.solver(forces[self.free])
+        return found
+
+
+class _Solver:
+    """x [n, r] of A x = b for a symmetric positive definite A [n, n], scaled so that its diagonal is 1."""
+
+    def __init__(self, matrix: csr_array, factorized: int, steps: int) -> None:
+        self._scale, self._steps = 1.0 / np.sqrt(matrix.diagonal()), steps
+        self._matrix = csr_array(diags_array(self._scale) @ matrix @ diags_array(self._scale))
+        self._factor = None
+        if len(self._scale) <= factorized:
+            options = {"SymmetricMode": True, "DiagPivotThresh": 0.0}
+            self._factor = splu(csc_array(self._matrix), permc_spec="MMD_AT_PLUS_A", options=options)
+
+    def __call__(self, right: Array) -> Array:
+        right = self._scale[:, None] * right
+        if self._factor is not None:
+            return self._scale[:, None] * self._factor.solve(right)
+        found = np.zeros_like(right)
+        for column in range(right.shape[1]):
+            own = right[:, column]
+            found[:, column], failed = cg(self._matrix, own, rtol=RESIDUAL, maxiter=self._steps)
+            if failed:
+                residual = np.linalg.norm(self._matrix @ found[:, column] - own) / np.linalg.norm(own)
+                raise UserError(
+                    f"the Laplacian of {len(self._scale)} points did not converge in {self._steps} steps: the residual "
+                    f"is {residual:.1e} of the right-hand side, {RESIDUAL:.0e} is wanted; are edges extremely short?"
+                )
+        return self._scale[:, None] * found

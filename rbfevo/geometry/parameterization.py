@@ -136,9 +136,10 @@ class VertexRegion:
 class Parameterization:
     """Centers [*pop, m, d] from points [*pop, m, d] anywhere in the box; the identity if nothing restricts them.
 
-    With a mirror, points on the other side are mirrored, and if m is odd the last one is put on the plane. Points
-    leave the region, the one on the plane along it. In a planar design all are put on its mid-plane, which is not the
-    mirror's, and stay there: its region must reach through it, as `scenarios.fixing` makes it.
+    With a mirror, points on the other side are mirrored, and if m is odd (or if `pinned`, whatever m) the last one is
+    put on the plane. Points leave the region, the one on the plane along it. In a planar design all are put on its
+    mid-plane, which is not the mirror's, and stay there: its region must reach through it, as `scenarios.fixing` makes
+    it.
     """
 
     def __init__(
@@ -147,10 +148,16 @@ class Parameterization:
         side: float = 1.0,
         region: Region | None = None,
         planar: Plane | None = None,
+        pinned: bool | None = None,
     ) -> None:
         """`side` is +1 or -1: on which side of the mirror the centers sit; their images sit on the other."""
         self.mirror, self.side, self.region, self.planar = mirror, side, region, planar
+        self.pinned = pinned
         self._last: tuple[Tensor, Tensor, Tensor] | None = None
+
+    def pins(self, count: int) -> bool:
+        """Whether the last of so many centers is put on the mirror's plane."""
+        return self.mirror is not None and (count % 2 == 1 if self.pinned is None else self.pinned)
 
     @property
     def _free(self) -> bool:
@@ -171,7 +178,7 @@ class Parameterization:
 
     def settle(self, centers: Tensor) -> Tensor:
         """Centers of a heuristic [*pop, m, d]: of an odd number the one nearest to the plane is moved onto it."""
-        if self.mirror is not None and centers.shape[-2] % 2:
+        if self.mirror is not None and self.pins(centers.shape[-2]):
             distance = (centers[..., self.mirror.axis] - self.mirror.at).abs()
             order = distance.argsort(dim=-1, descending=True, stable=True)
             centers = centers.gather(-2, order[..., None].expand_as(centers))
@@ -187,7 +194,7 @@ class Parameterization:
             return self._last[1:]
         centers, factor = self._folded(points, torch.ones_like(points))
         if self.region is not None:
-            pinned = self.mirror is not None and centers.shape[-2] % 2 == 1
+            pinned = self.pins(centers.shape[-2])
             free = centers.shape[-2] - pinned
             placed, moved = self.region.project(centers[..., :free, :])
             if pinned and self.mirror is not None:
@@ -209,7 +216,7 @@ class Parameterization:
         centers, factor = points.clone(), factor.clone()
         centers[..., axis] = torch.where(height < 0, 2.0 * at - points[..., axis], points[..., axis])
         factor[..., axis] *= torch.where(height < 0, -1.0, 1.0)
-        if centers.shape[-2] % 2:
+        if self.pins(centers.shape[-2]):
             centers[..., -1, axis] = at
             factor[..., -1, axis] = 0.0
         return centers, factor

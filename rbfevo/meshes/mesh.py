@@ -82,12 +82,14 @@ class Meaning(NamedTuple):
         kind: `nodal` (integrated) or `density` (per area), None where the file does not say.
         normal: the normal that one value per vertex refers to (`as_wound`), None for vectors.
         note: how that is known, in a line; rank: of several, the lowest is the best to take.
+        solver: the adjoint solver that it comes from, empty where that is not known.
     """
 
     kind: str | None
     normal: str | None
     note: str
     rank: int = 0
+    solver: str = ""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,8 +8,17 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.geometry.packaging import Packaging
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.representations import Representation
+
+
+class TooFewCandidatesError(UserError):
+    """Fewer candidates can be picked than centers are asked for; `found` of them can."""
+
+    def __init__(self, message: str, found: int) -> None:
+        super().__init__(message)
+        self.found = found
 
 
 def grid_candidates(lower: Tensor, upper: Tensor, per_axis: int = 30) -> Tensor:
@@ -27,7 +36,9 @@ def grid_candidates(lower: Tensor, upper: Tensor, per_axis: int = 30) -> Tensor:
 
 def candidates_of(scenario: Scenario, per_axis: int) -> Tensor:
     """The grid [c, d] over the box or, of a planar design, over its mid-plane, without the region kept free."""
-    (lower, upper), planar = scenario.search_box, scenario.planar
+    (lower, upper), planar, region = scenario.search_box, scenario.planar, scenario.keep_out
+    if isinstance(region, Packaging):  # the grid is over the part of the box that is left
+        lower, upper = torch.maximum(lower, region.extent[0]), torch.minimum(upper, region.extent[1])
     if planar is None:
         grid = grid_candidates(lower, upper, per_axis)
     else:
@@ -35,7 +46,6 @@ def candidates_of(scenario: Scenario, per_axis: int) -> Tensor:
         flat = grid_candidates(lower[axes], upper[axes], per_axis)
         grid = flat.new_full((len(flat), 3), planar.at)
         grid[:, axes] = flat
-    region = scenario.keep_out
     return grid if region is None else grid[~region.contains(grid)]
 
 

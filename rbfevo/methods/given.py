@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.methods.method import Heuristic, Problem, Rows
+from rbfevo.methods.method import Heuristic, Problem, Rows, files_of
 from rbfevo.scenarios.control_points import read_centers
 from rbfevo.scenarios.scenario import Scenario
 
@@ -33,14 +33,7 @@ class GivenCenters(Heuristic):
 
     def __init__(self, centers: Any = None) -> None:
         super().__init__()
-        files = [centers] if isinstance(centers, str) else centers
-        usable = isinstance(files, Sequence) and all(isinstance(file, str) and file for file in files)
-        if not usable or not files:
-            shown = "null" if centers is None else centers
-            raise UserError(f"method.centers={shown}: give a file with control points, or a list of files")
-        self.files = tuple(files)
-        if len(set(self.files)) < len(self.files):
-            raise UserError(f"method.centers={','.join(self.files)}: a file is listed twice")
+        self.files = files_of("method.centers", centers)
         self.labels = labels_of(self.files)
         self.inputs: Tensor | None = None
 

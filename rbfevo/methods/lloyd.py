@@ -29,6 +29,7 @@ def lloyd(
     starts: int = 10,
     iterations: int = 100,
     tolerance: float = 1e-3,
+    kept: Tensor | None = None,
 ) -> Tensor:
     """Return the k-means centers [count, d] of `vertices` [n, d], which minimize the (weighted) inertia locally.
 
@@ -46,6 +47,7 @@ def lloyd(
         starts: number of k-means++ starts.
         iterations: bound on the iterations of each of the (at most) three descents.
         tolerance: see above.
+        kept: [k, d] centers that stay where they are, beside the `count` that are placed.
 
     Raises:
         UserError: if `count`, `starts` or `iterations` is below 1, `count` exceeds the number of distinct vertices, or
@@ -68,12 +70,13 @@ def lloyd(
     X = vertices - middle
     enough = tolerance * X.var(0, correction=0).mean()
     part = torch.randperm(len(X), generator=generator, device=X.device)[:_COARSE]
-    centers = _seed(X[part], mass[part], count, starts, generator)
+    fixed = None if kept is None else kept - middle
+    centers = _seed(X[part], mass[part], count, starts, generator, fixed)
     if len(part) < len(X):
-        centers, _ = _descend(X[part], mass[part], centers, iterations, enough)
-    centers, inertias = _descend(X, mass, centers, iterations, enough)
+        centers, _ = _descend(X[part], mass[part], centers, iterations, enough, fixed)
+    centers, inertias = _descend(X, mass, centers, iterations, enough, fixed)
     best = centers[inertias.argmin()][None]
-    best, _ = _descend(X, mass, best, iterations, torch.zeros_like(enough))
+    best, _ = _descend(X, mass, best, iterations, torch.zeros_like(enough), fixed)
     return best[0] + middle
 
 
@@ -83,8 +86,12 @@ def inertia(vertices: Tensor, centers: Tensor, weights: Tensor | None = None) ->
     return (square if weights is None else square * weights).sum(-1)
 
 
-def _seed(X: Tensor, mass: Tensor, count: int, starts: int, generator: torch.Generator) -> Tensor:
+def _seed(
+    X: Tensor, mass: Tensor, count: int, starts: int, generator: torch.Generator, fixed: Tensor | None = None
+) -> Tensor:
     """Draw vertices [starts, count, d], each with a chance proportional to its squared distance to those before.
+
+    Those before include the `fixed` ones [k, d].
 
     Of 2 + log(count) draws the one that lowers the inertia the most is taken. Once every vertex has a center on it, the
     last vertex is repeated.
@@ -93,6 +100,9 @@ def _seed(X: Tensor, mass: Tensor, count: int, starts: int, generator: torch.Gen
     axes = X.T.contiguous()
     square = X.new_full((starts, len(X)), torch.inf)
     chance = mass.expand(starts, -1)
+    if fixed is not None:
+        square = _squares(axes, fixed.T).amin(0).expand(starts, -1)
+        chance = square * mass
     start = torch.arange(starts, device=X.device)
     for j in range(count):
         cumulative = chance.cumsum(1)
@@ -117,13 +127,21 @@ def _squares(axes: Tensor, points: Tensor) -> Tensor:
     return square
 
 
-def _descend(X: Tensor, mass: Tensor, centers: Tensor, iterations: int, enough: Tensor) -> tuple[Tensor, Tensor]:
-    """Move `centers` [s, m, d] to their centroids until each start rests; return them and their last inertias [s]."""
+def _descend(
+    X: Tensor, mass: Tensor, centers: Tensor, iterations: int, enough: Tensor, fixed: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """Move `centers` [s, m, d] to their centroids until each start rests; return them and their last inertias [s].
+
+    Vertices nearest to one of the `fixed` centers [k, d], which do not move, belong to none of them.
+    """
     centers = centers.clone()
     inertias = X.new_empty(len(centers))
     running = torch.arange(len(centers), device=X.device)
     for _ in range(iterations):
-        moved, inertias[running] = _step(X, mass, centers[running])
+        these = centers[running]
+        if fixed is not None:
+            these = torch.cat((these, fixed.expand(len(running), -1, -1)), 1)
+        moved, inertias[running] = _step(X, mass, these, 0 if fixed is None else len(fixed))
         shift = (moved - centers[running]).square().sum((1, 2))
         centers[running] = moved
         running = running[shift > enough]
@@ -132,8 +150,11 @@ def _descend(X: Tensor, mass: Tensor, centers: Tensor, iterations: int, enough: 
     return centers, inertias
 
 
-def _step(X: Tensor, mass: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the centroids [s, m, d] of the vertices nearest to each center, and the inertias [s] before the move."""
+def _step(X: Tensor, mass: Tensor, centers: Tensor, fixed: int = 0) -> tuple[Tensor, Tensor]:
+    """Return the centroids [s, m - fixed, d] of the vertices nearest to each center, and the inertias [s] before.
+
+    The last `fixed` of the centers [s, m, d] do not move.
+    """
     s, m, d = centers.shape
     planes = torch.cat([-2.0 * centers, centers.square().sum(-1, keepdim=True)], -1).reshape(s * m, d + 1).T
     offset = m * torch.arange(s, device=X.device)
@@ -145,10 +166,12 @@ def _step(X: Tensor, mass: Tensor, centers: Tensor) -> tuple[Tensor, Tensor]:
         inertias += w @ lowest
         sums.index_add_(0, (label + offset).view(-1), (x * w[:, None])[:, None].expand(-1, s, -1).reshape(-1, d + 1))
     sums = sums.view(s, m, d + 1)
-    moved = sums[..., :d] / sums[..., d:]
-    for i in (sums[..., d] == 0).any(1).nonzero()[:, 0].tolist():
-        moved[i] = _reseed(X, moved[i], sums[i, :, d] == 0)
-    return moved, inertias
+    free = m - fixed
+    moved = torch.cat((sums[:, :free, :d] / sums[:, :free, d:], centers[:, free:]), 1)
+    for i in (sums[:, :free, d] == 0).any(1).nonzero()[:, 0].tolist():
+        empty = torch.cat((sums[i, :free, d] == 0, sums.new_zeros(fixed, dtype=torch.bool)))
+        moved[i] = _reseed(X, moved[i], empty)
+    return moved[:, :free], inertias
 
 
 def _reseed(X: Tensor, centers: Tensor, empty: Tensor) -> Tensor:
@@ -181,10 +204,11 @@ class LloydHeuristic(Heuristic):
         vertices = design.vertices if design.planar is None else design.planar.pinned(design.vertices)
         centers = lloyd(
             vertices,
-            problem.centers,
+            problem.free,
             generator=problem.stream("lloyd"),
             weights=design.weights,
             starts=self.starts,
             iterations=self.iterations,
+            kept=problem.kept_on_one_side,
         )
         return problem.assembled(self.name, centers)[None]

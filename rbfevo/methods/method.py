@@ -18,7 +18,7 @@ from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.evolvability import Scores
 from rbfevo.scoring.gradients import Spectrum
 from rbfevo.scoring.pareto import hypervolume
-from rbfevo.scoring.representations import Representation, Space
+from rbfevo.scoring.representations import Representation, Space, beginning_with
 
 
 class Rows(NamedTuple):
@@ -27,6 +27,8 @@ class Rows(NamedTuple):
     Attributes:
         centers: [p, m, d], or other setups [p, *setup]; scores: [p]; preference: [p], NaN where there is none.
         labels: a name for each setup, or none at all.
+        picked: of a method that places one center after the other, [m, d] in that order, before a setup is made of
+            them; or None.
     """
 
     method: str
@@ -34,6 +36,7 @@ class Rows(NamedTuple):
     scores: Scores
     preference: Tensor
     labels: Sequence[str] = ()
+    picked: Tensor | None = None
 
 
 class HistoryLine(NamedTuple):
@@ -57,7 +60,7 @@ class Problem:
     Attributes:
         evaluate: setups [*pop, *setup], of RBFs [*pop, m, d], -> Scores [*pop].
         space: the box that is searched, random setups, and what makes setups of points of the box.
-        centers: m, centers a setup.
+        centers: m, centers a setup; kept: [k, d] those that every setup begins with and that stay.
         stream: name -> a generator that depends on the run's seed and that name alone.
         preferences: those asked for, or None.
         initial: the run's initial population, method `random`; empty if no method asked for one.
@@ -79,23 +82,43 @@ class Problem:
     spectrum: Callable[..., Spectrum]
     coarsened: Callable[[int], Problem]
     norm: float = 2.0
+    kept: Tensor = dataclasses.field(default_factory=lambda: torch.empty(0, 0, dtype=torch.float64))
+
+    @property
+    def free(self) -> int:
+        """m - k, the centers that a method places."""
+        return self.centers - len(self.kept)
+
+    @property
+    def kept_on_one_side(self) -> Tensor | None:
+        """The centers that stay [k, d], each on the side of the mirror, if any, on which others are placed; or None."""
+        mirror = self.scenario.mirror
+        if mirror is None or not len(self.kept):
+            return self.kept if len(self.kept) else None
+        other = self.scenario.side * (self.kept[:, mirror.axis] - mirror.at) < 0
+        return torch.where(other[:, None], mirror.image(self.kept), self.kept)
 
     @property
     def flat_box(self) -> tuple[Tensor, Tensor]:
-        """Corners [D] of the box of flat genotypes; of RBFs D = m d."""
+        """Corners [D] of the box of flat genotypes; of RBFs D = (m - k) d."""
         return self.space.lower.flatten(), self.space.upper.flatten()
 
     def unflatten(self, genotypes: Tensor) -> Tensor:
         """Genotypes [*pop, D] in the box -> setups [*pop, *setup]."""
         return self.space.place(genotypes.unflatten(-1, self.space.lower.shape))
 
+    def flatten(self, setups: Tensor) -> Tensor:
+        """Setups [p, *setup] that `unflatten` could have made -> their genotypes [p, D]."""
+        return self.space.points(setups).flatten(1)
+
     def assembled(self, method: str, centers: Tensor) -> Tensor:
-        """Setups [*pop, *setup] of centers [*pop, m, d] that a heuristic has placed.
+        """Setups [*pop, *setup] of centers [*pop, m - k, d] that a heuristic has placed beside those that stay.
 
         Raises:
             UserError: if the representation does not consist of centers.
         """
-        setups = self.representation.assemble(self.scenario.parameterization.settle(centers))
+        settled = self.scenario.parameterization.settle(centers)
+        setups = self.representation.assemble(beginning_with(self.kept, settled) if len(self.kept) else settled)
         if setups is None:
             raise UserError(f"method={method} places centers, and representation={self.representation.name} has none")
         return setups
@@ -110,7 +133,9 @@ class Method(abc.ABC):
         initial: setups of the run's initial population that the method starts from.
         prefers: whether what it finds depends on the preferences asked for.
         brings: whether its own settings determine the number of centers, as `bring` returns it.
-        inputs: what `bring` has read, so that it can be compared when a run is resumed, or None.
+        begins: files with setups that a search starts from.
+        inputs: what `bring` has read, or the searched centers [s, f, d] of the setups in `begins`, so that they can be
+            compared when a run is resumed; or None.
     """
 
     name: str
@@ -118,6 +143,7 @@ class Method(abc.ABC):
     initial: int = 0
     prefers: bool = False
     brings: bool = False
+    begins: tuple[str, ...] = ()
     inputs: Tensor | None = None
 
     def check(self, preferences: tuple[float, ...] | None) -> None:  # noqa: B027 - most have nothing to refuse
@@ -219,8 +245,9 @@ class Heuristic(Method):
 
 
 def rows_state(rows: Rows) -> dict[str, Any]:
-    """Rows as tensors and text, by name."""
-    return {**rows._asdict(), "scores": rows.scores._asdict()}
+    """Rows as tensors and text, by name; without what they do not have."""
+    parts = {name: value for name, value in rows._asdict().items() if value is not None}
+    return {**parts, "scores": rows.scores._asdict()}
 
 
 def rows_of(state: dict[str, Any]) -> Rows:
@@ -237,6 +264,34 @@ def unscored(centers: Tensor, objectives: Tensor) -> Scores:
     """Scores of setups of which a search keeps no more than the objectives; V is filled in when a run is saved."""
     nan = torch.full_like(objectives[:, 0], math.nan)
     return Scores(objectives[:, 0], objectives[:, 1], nan, torch.zeros_like(nan, dtype=torch.bool))
+
+
+def files_of(setting: str, value: Any) -> tuple[str, ...]:
+    """The files that a setting names, a file or a list of files.
+
+    Raises:
+        UserError: if it names none, or one twice.
+    """
+    files = [value] if isinstance(value, str) else value
+    usable = isinstance(files, Sequence) and all(isinstance(file, str) and file for file in files)
+    if not usable or not files:
+        shown = "null" if value is None else value
+        raise UserError(f"{setting}={shown}: give a file with control points, or a list of files")
+    if len(set(files)) < len(files):
+        raise UserError(f"{setting}={','.join(files)}: a file is listed twice")
+    return tuple(files)
+
+
+def starts_of(value: Any, method: str, most: int) -> tuple[str, ...]:
+    """The files of `method.start`, none for null.
+
+    Raises:
+        UserError: if they are no list of files, or more than the setups that the search begins with.
+    """
+    files = () if value is None else files_of("method.start", value)
+    if len(files) > most:
+        raise UserError(f"method.start: {len(files)} files, and method={method} begins with {most} setups; give fewer")
+    return files
 
 
 def at_least_one(setting: str, value: int) -> int:

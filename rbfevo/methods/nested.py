@@ -5,6 +5,9 @@ bounded from below along one line: with d the best displacement so far, |d|_p = 
 of the gradient of the gain, d moves along phi v, v = phi^T r / |phi^T r|, by the most promising of a few lengths. The
 candidates that promise most are then solved exactly. For p = 2 and without the screening these are the picks of
 orthogonal least squares.
+
+Of several objectives each has a best displacement of its own; what is raised the most is the mean of their P_p, or the
+least of them.
 """
 
 from __future__ import annotations
@@ -15,11 +18,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from rbfevo.errors import UserError
-from rbfevo.methods.candidates import atoms_of, candidates_of
+from rbfevo.methods.candidates import TooFewCandidatesError, atoms_of, candidates_of
 from rbfevo.scenarios.coarse import coarsened
 from rbfevo.scenarios.scenario import Scenario
-from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.bounded import BoundedPotential, bounded_of
+from rbfevo.scoring.combination import ONE, Combination
 from rbfevo.scoring.representations import Representation
 from rbfevo.scoring.threads import run_in_slices
 
@@ -41,74 +44,110 @@ class Sequence(NamedTuple):
 
 @torch.no_grad()
 def nested(
-    bounded: BoundedPotential,
+    bounded: BoundedPotential | list[BoundedPotential],
     columns: Callable[[Tensor], Tensor],
     assemble: Callable[[Tensor], Tensor],
     candidates: Tensor,
     count: int,
     tried: int = TRIED,
+    kept: Tensor | None = None,
+    combination: Combination = ONE,
 ) -> Sequence:
     """Pick `count` of `candidates` [c, d] greedily, to maximize bounded potential.
 
     Args:
-        bounded: P_p of the design, without a plane of symmetry.
+        bounded: P_p of the design, without a plane of symmetry; of several objectives that of each.
         columns: maps centers [b, d] to their columns [n, b], without the blend.
         assemble: makes setups of centers [*pop, m, d].
         candidates: [c, d], model units.
         tried: candidates solved exactly for each pick; all of them are those of the definition.
+        kept: [q, d] centers that are there already; none of them is returned.
+        combination: of several objectives.
 
     Raises:
-        UserError: if fewer than `count` candidates move anything.
+        TooFewCandidatesError: if fewer than `count` candidates move anything.
     """
-    screen = _Screen(bounded, columns, candidates)
+    each = bounded if isinstance(bounded, list) else [bounded]
+    screens = [_Screen(one, columns, candidates) for one in each]
     chosen: list[int] = []
     values: list[Tensor] = []
-    k = bounded.a.shape[1]
-    weights = bounded.a.new_zeros(0, k)
+    k = each[0].a.shape[1]
+    there = candidates[:0] if kept is None else kept
+    weights = [one.a.new_zeros(0, k) for one in each]
+    if len(there):
+        weights = [one.optima(assemble(there[None]), None, gap=0.0).weights[0] for one in each]
+        for screen, own in zip(screens, weights, strict=True):
+            screen.move(there, own)
     for t in range(count):
-        promise = screen.promise()
+        promise = _promised(screens, combination)
         promise[chosen] = -torch.inf
         rows = promise.topk(min(tried, len(candidates) - t)).indices
         rows = rows[torch.isfinite(promise[rows])].sort().values
         if not len(rows):
-            raise UserError(
+            raise TooFewCandidatesError(
                 f"only {t} of the {len(candidates)} candidates move anything, for {count} centers: ask for fewer "
-                "centers or enlarge the support radius"
+                "centers or enlarge the support radius",
+                t,
             )
-        before = candidates[torch.tensor(chosen, dtype=torch.long)].expand(len(rows), t, -1)
+        before = torch.cat((there, candidates[torch.tensor(chosen, dtype=torch.long)]))
+        before = before.expand(len(rows), len(there) + t, -1)
         setups = assemble(torch.cat((before, candidates[rows, None]), dim=1))
-        known = torch.cat((weights, weights.new_zeros(1, k))).expand(len(rows), -1, -1)
-        start = torch.cat((setups.flatten(1), known.flatten(1)), dim=1) if t else None
-        found = bounded.optima(setups, start, gap=0.0)
-        best = int((found.values >= found.values.max() - TIE).nonzero()[0])
+        known = [torch.cat((own, own.new_zeros(1, k))).expand(len(rows), -1, -1) for own in weights]
+        begun = t + len(there) > 0
+        starts = [torch.cat((setups.flatten(1), own.flatten(1)), dim=1) if begun else None for own in known]
+        pairs = zip(each, starts, strict=True)
+        found = [one.optima(setups, start, gap=0.0) for one, start in pairs]
+        potential = combination(torch.stack([one.values for one in found], dim=1))
+        best = int((potential >= potential.max() - TIE).nonzero()[0])
         chosen.append(int(rows[best]))
-        values.append(found.values[best])
-        weights = found.weights[best]
-        screen.move(candidates[torch.tensor(chosen)], weights)
+        values.append(potential[best])
+        weights = [one.weights[best] for one in found]
+        for screen, own in zip(screens, weights, strict=True):
+            screen.move(torch.cat((there, candidates[torch.tensor(chosen)])), own)
     indices = torch.tensor(chosen)
     return Sequence(candidates[indices], indices, torch.stack(values))
 
 
 def nested_of(
-    scenario: Scenario, representation: Representation, norm: float, count: int, per_axis: int = FEWER
+    scenario: Scenario,
+    representation: Representation,
+    norm: float,
+    count: int,
+    per_axis: int = FEWER,
+    kept: Tensor | None = None,
 ) -> Sequence:
     """The nested sequence of a design: on at most `VERTICES` weighted vertices, of half of a symmetric one.
 
     Args:
         scenario: the design; norm: p; count: centers; per_axis: candidates along each axis of the grid over the box.
+        kept: [q, d] centers that are there already, beside the `count` that are picked.
 
     Raises:
         UserError: if the representation does not consist of centers, or too few candidates move anything.
     """
     design = coarsened(scenario.half(), VERTICES)
     columns = atoms_of(representation, design)
-    bounded = BoundedPotential(design.vertices, design.gradient, representation, norm, design.weights, design.blend)
+    bounded = [bounded_of(alone, representation, norm) for alone in design.each()]
 
     def assemble(centers: Tensor) -> Tensor:
         setups = representation.assemble(centers)
         return centers if setups is None else setups
 
-    return nested(bounded, columns, assemble, candidates_of(scenario, per_axis), count)
+    combination, candidates = Combination.of(scenario.objectives), candidates_of(scenario, per_axis)
+    return nested(bounded, columns, assemble, candidates, count, kept=kept, combination=combination)
+
+
+def _promised(screens: list[_Screen], combination: Combination) -> Tensor:
+    """[c] what each candidate promises, to compare candidates; -inf for those that move nothing."""
+    promises = [screen.promise() for screen in screens]
+    if combination.count == 1:
+        return promises[0]
+    moving = torch.stack(promises).isfinite().any(0)
+    potentials = [
+        (torch.where(promise.isfinite(), promise, screen.gain).clamp_min(0.0) / screen.bounded.dual) ** 2
+        for screen, promise in zip(screens, promises, strict=True)
+    ]
+    return torch.where(moving, combination(torch.stack(potentials, dim=1)), -torch.inf)
 
 
 class _Screen:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.methods.method import Method, Problem, Rows, at_least_one, no_preference, unscored
+from rbfevo.methods.method import Method, Problem, Rows, at_least_one, no_preference, starts_of, unscored
 from rbfevo.scoring.pareto import best
 
 Array = NDArray[np.floating[Any]]
@@ -237,7 +237,10 @@ def _mutate(x: Array, lower: Array, upper: Array, eta: float, probability: float
 
 
 class Nsga2Search(Method):
-    """The front of regularity and improvement potential by NSGA-II (paper, section 5)."""
+    """The front of regularity and improvement potential by NSGA-II (paper, section 5).
+
+    The setups in the files of `start` take the places of as many random ones in the first population.
+    """
 
     name = "nsga2"
 
@@ -249,22 +252,29 @@ class Nsga2Search(Method):
         crossover_eta: float = 20.0,
         mutation_probability: float | None = None,
         mutation_eta: float = 20.0,
+        start: Any = None,
     ) -> None:
         self.steps = at_least_one(f"{self.name}: generations", generations)
         check_settings(population, crossover_probability, crossover_eta, mutation_probability, mutation_eta)
         self.initial = self.population = population
         self.crossover_probability, self.crossover_eta = crossover_probability, crossover_eta
         self.mutation_probability, self.mutation_eta = mutation_probability, mutation_eta
+        self.begins = starts_of(start, self.name, population)
 
     def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
-        return self.steps * self.population
+        return self.steps * self.population + len(self.begins)
 
     def start(self, problem: Problem) -> None:
         lower, upper = problem.flat_box
         self._problem = problem
-        start = problem.initial.centers[: self.population]
+        start, objectives = problem.initial.centers[: self.population], problem.initial.scores.objectives
+        objectives = objectives[: self.population]
+        if self.inputs is not None:
+            given = problem.space.place(self.inputs.to(start))
+            start = torch.cat((given, start[len(given) :]))
+            objectives = torch.cat((problem.evaluate(given).objectives, objectives[len(given) :]))
         self.algorithm = NSGA2(
-            start.flatten(1),
+            problem.flatten(start),
             lower,
             upper,
             generator=problem.stream("nsga2"),
@@ -274,7 +284,7 @@ class Nsga2Search(Method):
             mutation_eta=self.mutation_eta,
         )
         self.algorithm.ask()
-        self.algorithm.tell(problem.initial.scores.objectives[: self.population])
+        self.algorithm.tell(objectives)
 
     def step(self) -> None:
         centers = self._problem.unflatten(self.algorithm.ask())

@@ -15,19 +15,18 @@ columns.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.methods.candidates import atoms_of, candidates_of
+from rbfevo.methods.candidates import TooFewCandidatesError, atoms_of, candidates_of
 from rbfevo.methods.method import Heuristic, Problem, at_least_one
 from rbfevo.methods.nested import FEWER, nested_of
-from rbfevo.scoring.threads import run_in_slices
+from rbfevo.methods.screening import Screen
+from rbfevo.scoring.combination import Combination
 
 
 class Selection(NamedTuple):
@@ -50,8 +49,12 @@ def ols(
     vanish: float = 1e-12,
     memory: float = 1.25e9,
     block: int = 32,
+    kept: Tensor | None = None,
+    groups: int = 1,
 ) -> Selection:
     """Pick `count` of `candidates` [c, d] greedily, to maximize the improvement potential P of indirect manipulation.
+
+    With several groups of columns of g it is the least of their potentials, each relative to its own part of g.
 
     Gains are exact, count all columns of g together, and are in units of P: relative to the squared (weighted)
     Frobenius norm of g. Those within `tolerance` of the best tie, and the lowest index wins. A candidate is skipped if
@@ -68,202 +71,50 @@ def ols(
         vanish: see above.
         memory: bytes for columns kept in single precision; those that do not fit are computed at every pick.
         block: number of candidates computed at a time.
+        kept: [q, d] centers that are there already: gains are those beside them, and none of them is picked.
+        groups: equally many columns of g each, one group after another.
 
     Raises:
-        UserError: if `count` is below 1, g is zero or not finite, or fewer than `count` candidates can be used.
+        UserError: if `count` is below 1, or g is zero or not finite.
+        TooFewCandidatesError: if fewer than `count` candidates can be used.
     """
     if count < 1:
         raise UserError(f"OLS has to pick at least one center, not {count}")
     if count > len(candidates):
-        raise UserError(f"OLS cannot pick {count} centers from {len(candidates)} candidates: refine the candidate grid")
+        raise TooFewCandidatesError(
+            f"OLS cannot pick {count} centers from {len(candidates)} candidates: refine the candidate grid",
+            len(candidates),
+        )
     root = None if weights is None or bool((weights == 1).all()) else weights.sqrt()
     residual = gradient if root is None else gradient * root[:, None]
     length = torch.linalg.vector_norm(residual)
     if not bool(length.isfinite() & (length > 0)):
         raise UserError("OLS needs an estimated fitness gradient that is finite and not zero everywhere")
 
-    screen = _Screen(columns, candidates, root, residual / length, memory, block)
-    basis = residual.new_empty(count, len(residual)).T
+    screen = Screen(columns, candidates, root, residual / length, memory, block, groups)
+    before = residual.new_empty(len(residual), 0) if kept is None else screen.basis_of(kept, vanish)
+    basis = residual.new_empty(before.shape[1] + count, len(residual)).T
+    basis[:, : before.shape[1]] = before
+    for q in before.T:
+        screen.advance(q.contiguous())
     indices: list[int] = []
     gains: list[Tensor] = []
-    for t in range(count):
+    for t in range(before.shape[1], basis.shape[1]):
         winner, gain = screen.best(basis[:, :t], tolerance, vanish)
         if winner < 0:
-            raise UserError(
-                f"only {t} of the {len(candidates)} OLS candidates have kernel columns independent of each other, for "
-                f"{count} centers: ask for fewer centers, refine the candidate grid or enlarge the support radius"
+            raise TooFewCandidatesError(
+                f"only {len(indices)} of the {len(candidates)} OLS candidates have kernel columns independent of each "
+                f"other, for {count} centers: ask for fewer centers, refine the candidate grid or enlarge the support "
+                "radius",
+                len(indices),
             )
         indices.append(winner)
         gains.append(gain)
         basis[:, t] = screen.pick(winner, basis[:, :t])
-        if t + 1 < count:
+        if t + 1 < basis.shape[1]:
             screen.advance(basis[:, t])
     chosen = torch.tensor(indices, device=candidates.device)
     return Selection(candidates[chosen], chosen, torch.stack(gains))
-
-
-def _empty(rows: int, n: int, device: torch.device) -> Tensor:
-    """Return [rows, n] in single precision; on the CPU in the large pages that NumPy asks for: half the time."""
-    if device.type == "cpu":
-        return torch.from_numpy(np.empty((rows, n), np.float32))
-    return torch.empty(rows, n, dtype=torch.float32, device=device)
-
-
-def _largest(values: Tensor, among: Tensor, count: int) -> Tensor:
-    return torch.where(among, values, -torch.inf).topk(min(count, int(among.sum()))).indices
-
-
-class _Screen:
-    """What is known of every candidate, its column phi scaled to unit length, given the picks so far.
-
-    `left` [c] bounds w^T w from below, `moment` [c, k] is w^T r up to `doubt` [c] in norm, `usable` [c] marks those
-    that may still be picked. A product of a unit column with a unit vector is taken to be wrong by at most `slack`: u
-    for rounding each factor and sqrt(n) u for summing n terms (Higham & Mary 2019), in the precision of the product.
-    """
-
-    def __init__(
-        self,
-        columns: Callable[[Tensor], Tensor],
-        candidates: Tensor,
-        root: Tensor | None,
-        residual: Tensor,
-        memory: float,
-        block: int,
-    ):
-        self.columns, self.candidates, self.root, self.residual, self.block = columns, candidates, root, residual, block
-        c, (n, k) = len(candidates), residual.shape
-        self.rounding, rough = (torch.finfo(t).eps * (1 + math.sqrt(n) / 2) for t in (torch.float64, torch.float32))
-        self.scale, self.unit, self.moment = residual.new_zeros(c), residual.new_zeros(c), residual.new_zeros(c, k)
-        self.kept = _empty(min(c, int(memory // (4 * n))), n, residual.device)
-        self._walk(self._survey, torch.arange(c, device=residual.device))
-        self.slack = residual.new_full((c,), self.rounding)
-        self.slack[: len(self.kept)] = rough
-        self.usable = self.scale > 0
-        self.left = self.usable.to(residual.dtype)
-        self.doubt = torch.full_like(self.left, self.rounding)
-
-    def _walk(self, visit: Callable[[slice, Tensor, Tensor], None], indices: Tensor) -> None:
-        """Call visit(where, indices[where], rows) with the weighted columns as rows [b, n], one block after the other.
-
-        Blocks are small enough to stay in cache; threads share them.
-        """
-
-        def work(begin: int, end: int) -> None:
-            for start in range(begin, end, self.block):
-                where = slice(start, min(start + self.block, end))
-                visit(where, indices[where], self._rows(indices[where]))
-
-        self._share(work, len(indices))
-
-    def _share(self, work: Callable[[int, int], None], count: int) -> None:
-        """Call work(begin, end) for parts of range(count), on several threads if that is of use."""
-        if self.candidates.device.type == "cpu":
-            run_in_slices(work, count)
-        else:
-            work(0, count)
-
-    def _rows(self, indices: Tensor) -> Tensor:
-        rows = self.columns(self.candidates[indices]).detach().T  # torch.no_grad ends at its own thread
-        return (rows if self.root is None else rows * self.root).contiguous()
-
-    def _survey(self, where: slice, indices: Tensor, rows: Tensor) -> None:
-        """Keep a block's columns, and what is known of them before the first pick."""
-        norm = torch.linalg.vector_norm(rows, dim=1)
-        scale = torch.where(norm.isfinite() & (norm > 0), 1.0 / norm, 0.0)
-        self.scale[where] = scale
-        self.moment[where] = (self.residual.T @ rows.T).T * scale[:, None]
-        kept = self.kept[where]
-        # Products with kept columns are scaled instead of these, unless single precision might not reach that far.
-        far = bool(((norm > 1e18) | (norm > 0) & (norm < 1e-18)).any())
-        self.unit[where] = 1.0 if far else scale
-        kept.copy_((rows * scale[:, None] if far else rows)[: len(kept)])
-
-    def _products(self, indices: Tensor, directions: Tensor) -> Tensor:
-        """Return phi^T directions [b, t] for unit columns phi and directions [n, t], in double precision."""
-        out = directions.new_empty(len(indices), directions.shape[1])
-
-        def visit(where: slice, indices: Tensor, rows: Tensor) -> None:
-            out[where] = (directions.T @ rows.T).T * self.scale[indices, None]
-
-        self._walk(visit, indices)
-        return out
-
-    def _remainders(self, indices: Tensor, Q: Tensor) -> Tensor:
-        """Return w [b, n], in double precision; projecting twice suffices (Giraud et al. 2005)."""
-        w = self._rows(indices) * self.scale[indices, None]
-        for _ in range(2):
-            w.addmm_(w @ Q, Q.T, alpha=-1.0)
-        return w
-
-    def best(self, Q: Tensor, tolerance: float, vanish: float) -> tuple[int, Tensor]:
-        """Return index and exact gain of the next pick, or -1 and 0 if no candidate can be used."""
-        remaining = (self.residual * self.residual).sum()
-        exact = torch.full_like(self.left, -torch.inf)  # the gains computed in full
-        index = torch.arange(len(exact), device=exact.device)
-        sharp = self.slack <= self.rounding  # bounds from double precision
-        few, many = 4, 16
-        while True:
-            upper = (torch.linalg.vector_norm(self.moment, dim=1) + self.doubt).square() / self.left
-            upper = torch.where(self.left > 0, upper, torch.inf).clamp(max=remaining)
-            top = exact.max()
-            tied = (exact >= 0) & (exact >= top - tolerance)
-            first = int(tied.int().argmax()) if bool(tied.any()) else -1
-            doubtful = self.usable & exact.isneginf() & (upper >= top - tolerance)
-            if first >= 0:  # a later one that cannot lead the first by more than the tolerance changes nothing
-                doubtful &= (index < first) | (upper > exact[first] + tolerance)
-            if not bool(doubtful.any()):
-                return first, exact[first] if first >= 0 else torch.zeros_like(remaining)
-            clear = doubtful & sharp
-            if first >= 0 and not bool(clear.any()):
-                ahead = _largest(upper, doubtful, many)
-                self._sharpen(ahead, Q)
-                sharp[ahead] = True
-                many = min(2 * many, 256)
-                continue
-            ahead = _largest(upper, clear if bool(clear.any()) else doubtful, few)
-            w = self._remainders(ahead, Q)
-            square, moment = (w * w).sum(1), w @ self.residual
-            alive = square >= vanish
-            exact[ahead] = torch.where(alive, (moment * moment).sum(1) / square, -torch.inf)
-            self.usable[ahead[~alive]] = False
-            self.left[ahead] = (square.sqrt() - self.rounding).clamp(min=0).square()
-            self.moment[ahead] = moment
-            self.doubt[ahead] = self.rounding
-            few = min(2 * few, 128)
-
-    def _sharpen(self, indices: Tensor, Q: Tensor) -> None:
-        """Bring bounds to double precision: w^T w = 1 - |Q^T phi|^2 and w^T r = phi^T r, without computing w."""
-        t = Q.shape[1]
-        along, moment = self._products(indices, torch.cat((Q, self.residual), dim=1)).tensor_split([t], dim=1)
-        error = 2.0 * (1.0 + math.sqrt(t)) * self.rounding
-        self.left[indices] = (1.0 - along.square().sum(1) - error).clamp(min=0)
-        self.moment[indices] = moment
-        self.doubt[indices] = 2.0 * self.rounding
-
-    def pick(self, winner: int, Q: Tensor) -> Tensor:
-        """Take `winner` out and return the unit vector q [n] that it adds to Q."""
-        self.usable[winner] = False
-        q = self._remainders(torch.tensor([winner], device=Q.device), Q)[0]
-        return q / torch.linalg.vector_norm(q)
-
-    def advance(self, q: Tensor) -> None:
-        """Bring the bounds and r up to date with the newest q."""
-        c, kept = len(self.left), len(self.kept)
-        y = torch.empty_like(self.left)
-        rough = q.to(self.kept.dtype)
-
-        def work(begin: int, end: int) -> None:
-            y[begin:end] = torch.mv(self.kept[begin:end], rough)
-
-        self._share(work, kept)
-        y[:kept] *= self.unit[:kept]
-        if kept < c:
-            y[kept:] = self._products(torch.arange(kept, c, device=q.device), q[:, None])[:, 0]
-        share = q @ self.residual
-        self.left -= (y.abs() + self.slack).square()
-        self.moment -= torch.outer(y, share)
-        self.doubt += self.slack * torch.linalg.vector_norm(share)
-        self.residual = self.residual - torch.outer(q, share)
 
 
 class OlsHeuristic(Heuristic):
@@ -271,7 +122,8 @@ class OlsHeuristic(Heuristic):
 
     They are chosen for indirect manipulation and used for both, since P is the same for both. Of a symmetric design it
     sees one half, without the images of the centers; of a planar one candidates lie in the plane alone. Where bounded
-    potential is searched, the centers are those of `rbfevo.methods.nested`, on a coarse design.
+    potential is searched, the centers are those of `rbfevo.methods.nested`, on a coarse design. Of several objectives
+    each center raises the mean of their potentials the most, or the least of them, whichever is searched.
     """
 
     name = "ols"
@@ -279,22 +131,38 @@ class OlsHeuristic(Heuristic):
     def __init__(self, per_axis: int = 30) -> None:
         super().__init__()
         self.per_axis = at_least_one(f"{self.name}: per_axis", per_axis)
+        self._picked: Tensor | None = None
 
     def place(self, problem: Problem) -> Tensor:
         """[1, m, d]."""
+        self._picked = self.picks(problem)
+        return problem.assembled(self.name, self._picked)[None]
+
+    def step(self) -> None:
+        """Place the centers; the row has the order in which they were picked, unless others were there before."""
+        super().step()
+        if self._problem is not None and len(self._problem.kept):
+            return
+        self._rows = [rows._replace(picked=self._picked) for rows in self._rows]
+
+    def picks(self, problem: Problem) -> Tensor:
+        """Centers [m - k, d] in the order picked, as the grid has them: the first are the picks for fewer centers.
+
+        Raises:
+            TooFewCandidatesError: if fewer candidates can be used than the problem has centers.
+        """
         if problem.norm != 2.0:
             per_axis = min(self.per_axis, FEWER)
-            centers = nested_of(
-                problem.scenario, problem.representation, problem.norm, problem.centers, per_axis
-            ).centers
-            return problem.assembled(self.name, centers)[None]
-        design = problem.scenario.half()
+            searched = (problem.scenario, problem.representation, problem.norm)
+            return nested_of(*searched, problem.free, per_axis, problem.kept_on_one_side).centers
+        design, combination = problem.scenario.half(), Combination.of(problem.scenario.objectives)
         atoms, blend = atoms_of(problem.representation, design), design.blend
-        centers = ols(
+        return ols(
             atoms if blend is None else lambda candidates: blend[:, None] * atoms(candidates),
             candidates_of(problem.scenario, self.per_axis),
             design.gradient,
-            problem.centers,
+            problem.free,
             weights=design.weights,
+            kept=problem.kept_on_one_side,
+            groups=combination.count if combination.worst else 1,
         ).centers
-        return problem.assembled(self.name, centers)[None]

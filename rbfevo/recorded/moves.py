@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
+from rbfevo.recorded.objectives import Candidate, Change, aimed, best_keeping, changes, gain_of, index_of, uphill
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import EPS, Setup
-from rbfevo.scoring.maxnorm import Block, best_displacement
+from rbfevo.scoring.maxnorm import Block, best_displacement, norm
 
 RULES = ("max-norm", "natural", "steepest")
 NORM = 16.0  # of the rule max-norm: near enough to the maximum, and smooth
@@ -25,7 +27,8 @@ class Move(NamedTuple):
             displacements of the centers but for the blend of held regions.
         direction: whether only the direction was given, so that the size is that of `--step`.
         change: the predicted change of the objective, in its unit, to first order; None of a target, or where the size
-            of the sensitivity is not known.
+            of the sensitivity is not known. Of several objectives those of each are `changes`.
+        limited: vertices that move by their largest displacement (to 1 %), where that is what limits the move; else 0.
     """
 
     wanted: Array
@@ -34,9 +37,18 @@ class Move(NamedTuple):
     centers: Array
     direction: bool
     change: float | None = None
+    changes: tuple[Change, ...] = ()
+    limited: int = 0
 
 
-def wanted_move(record: Record, chosen: Setup, step: float, rule: str = RULES[0]) -> Move:
+def wanted_move(
+    record: Record,
+    chosen: Setup,
+    step: float,
+    rule: str = RULES[0],
+    objective: str | None = None,
+    keep: Sequence[str] = (),
+) -> Move:
     """The best approximation of a wanted displacement; of a sensitivity, a step by a rule.
 
     Args:
@@ -47,27 +59,67 @@ def wanted_move(record: Record, chosen: Setup, step: float, rule: str = RULES[0]
             `natural`: q = -(U^T (M + l^2 K) U)^-1 U^T s, with the vertices' areas M, the stiffness K of the surface
             and the smoothing length l of the run (without one, l = 0: the least-squares projection);
             `steepest`: q = -U^T s in the parameters of the run's manipulation.
+        objective: of several, the one that the step follows; None: the weighted sum of all, each of unit norm.
+        keep: objectives that must not get worse: where the step would make one worse, it is the best of those (by the
+            same rule) under which it neither gains nor loses, to first order.
 
     Raises:
-        UserError: for another rule, or where a rule does not work for this setup.
+        UserError: for another rule or objective, where a rule does not work for this setup, or if no step gains
+            anything while all that is kept gets no worse.
     """
     if record.summary.get("gradient_is") != "direction" and record.gradient_norm is not None:
         weights = chosen.best(record)
         wanted, reached = record.gradient * record.gradient_norm, chosen.displacement(record.vertices, weights)
-        return Move(wanted, reached, weights, _of_centers(chosen, weights), False)
-    weights = _stepped(record, chosen, rule)
+        factor = min(1.0, within_bounds(record, reached))
+        reached, weights = factor * reached, factor * weights
+        limited = at_bounds(record, reached) if factor < 1.0 else 0
+        return Move(wanted, reached, weights, _of_centers(chosen, weights), False, limited=limited)
+    whole, record = record, aimed(record, objective)
+    fields = [uphill(whole.alone(index_of(whole, name, "--keep"))) for name in keep]
+    size = step * float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
+    weights = _stepped(record, chosen, rule, size, fields)
+    if keep and not weights.any():
+        listed = " and ".join(dict.fromkeys(keep))
+        raise UserError(f"--keep {listed}: no step of this setup gains anything while {listed} must not get worse")
     wanted, reached = record.gradient, chosen.displacement(record.vertices, weights)
     farthest = float(np.linalg.norm(reached, axis=1).max())
     gains = float((record.weights[:, None] * record.gradient * reached).sum())
     if not gains > 1e-18 * float(np.linalg.norm(record.weights[:, None] * record.gradient)) * farthest:
         weights, reached, farthest = 0.0 * weights, 0.0 * reached, 0.0
-    size = step * float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
-    factor = size / (farthest or 1.0)
+    free, factor = size / (farthest or 1.0), within_bounds(record, reached)
+    factor = min(free, factor)
     reached, weights = factor * reached, factor * weights
+    limited = at_bounds(record, reached) if factor < free else 0
     # Of this size, what is left of the wanted displacement is orthogonal to what is reached.
     matching = float((record.weights[:, None] * reached**2).sum()) / (factor * gains) if farthest else 0.0
     wanted = wanted * (matching or size / float(np.linalg.norm(wanted, axis=1).max()))
-    return Move(wanted, reached, weights, _of_centers(chosen, weights), True, predicted_change(record, reached))
+    change = predicted_change(record, reached) if whole.gradients is None else None
+    moved, gained = _of_centers(chosen, weights), changes(whole, reached)
+    return Move(wanted, reached, weights, moved, True, change, gained, limited)
+
+
+def within_bounds(record: Record, displacement: Array) -> float:
+    """The largest factor by which a displacement [n, k] keeps the largest displacements of a run; inf without any."""
+    if record.max_displacement is None:
+        return np.inf
+    lengths = np.linalg.norm(displacement, axis=1)
+    moving = lengths > 0.0
+    return float((record.max_displacement[moving] / lengths[moving]).min(initial=np.inf)) * (1.0 - EPS)
+
+
+def at_bounds(record: Record, displacement: Array) -> int:
+    """How many vertices move by at least 99 % of their largest displacement."""
+    if record.max_displacement is None:
+        return 0
+    return int((np.linalg.norm(displacement, axis=1) >= 0.99 * record.max_displacement).sum())
+
+
+def _shares(record: Record, size: float) -> Array:
+    """[n] how far each vertex may move in a step of that size, over the largest of all."""
+    if record.max_displacement is None:
+        return np.ones(len(record.vertices))
+    most = np.minimum(record.max_displacement, size)
+    return most / most.max()
 
 
 def predicted_change(record: Record, displacement: Array) -> float | None:
@@ -79,8 +131,7 @@ def predicted_change(record: Record, displacement: Array) -> float | None:
     sign = way.get(str(record.summary.get("objective")))
     if sign is None or not isinstance(norm, int | float):
         return None
-    raw = record.gradient if record.gradient_raw is None else record.gradient_raw
-    return sign * float(norm) * float((record.weights[:, None] * raw * displacement).sum())
+    return sign * float(norm) * float((uphill(record) * displacement).sum())
 
 
 def _of_centers(chosen: Setup, weights: Array) -> Array:
@@ -93,30 +144,79 @@ def _of_centers(chosen: Setup, weights: Array) -> Array:
     return centers
 
 
-def _stepped(record: Record, chosen: Setup, rule: str) -> Array:
-    """The weights [m, k] of a step by a rule, of any size."""
+def _stepped(record: Record, chosen: Setup, rule: str, size: float, kept: Sequence[Array] = ()) -> Array:
+    """The weights [m, k] of a step by a rule, of any size, under which no objective of the fields [n, k] gets worse.
+
+    Args:
+        size: of the largest displacement in the end.
+    """
     found = {"max-norm": _max_norm, "natural": _natural, "steepest": _steepest}.get(rule)
     if found is None:
         raise UserError(f"--rule {rule}: choose one of {', '.join(RULES)}")
-    return found(record, chosen, record.weights[:, None] * record.gradient)
+    rising = record.weights[:, None] * record.gradient
+    if not kept:
+        return found(record, chosen, rising, size)
+    if found is _max_norm:
+
+        def bounded(still: Sequence[int]) -> Candidate:
+            weights = _max_norm(record, chosen, rising, size, [kept[i] for i in still])
+            displacement = chosen.displacement(record.vertices, weights)
+            length = norm(displacement / _shares(record, size)[:, None], _areas(record), NORM) or 1.0
+            return Candidate(weights, displacement, float((rising * displacement).sum()) / length)
+
+        return best_keeping(bounded, kept).weights
+    return best_keeping(
+        _linear(lambda field: found(record, chosen, field, size), record, chosen, rising, kept), kept
+    ).weights
 
 
-def _max_norm(record: Record, chosen: Setup, rising: Array) -> Array:
-    """The weights [m, k] of the rule `max-norm`; `rising` [n, k] is -s but for its size."""
+def _linear(
+    weights_of: Callable[[Array], Array], record: Record, chosen: Setup, rising: Array, kept: Sequence[Array]
+) -> Callable[[Sequence[int]], Candidate]:
+    """How a rule that is linear in the field finds its best step that neither gains nor loses by some of the `kept`.
+
+    With the weights w(a) of a field a, the best such step is w(a + sum of mu_l a_l), with multipliers mu: the rule in
+    the null space of what these gain. Its gain is that over the length of q in the metric of the rule.
+    """
+    moves = [(weights, chosen.displacement(record.vertices, weights)) for weights in map(weights_of, (rising, *kept))]
+
+    def solve(still: Sequence[int]) -> Candidate:
+        weights, displacement = moves[0]
+        others = [moves[1 + i] for i in still]
+        gains = np.array([[gain_of(kept[i], other) for _, other in others] for i in still]).reshape(
+            len(still), len(still)
+        )
+        for _ in range(2 * bool(still)):  # the second time for rounding
+            lost = np.array([float((kept[i] * displacement).sum()) for i in still])
+            multipliers = np.linalg.lstsq(gains, -lost, rcond=1e-13)[0]
+            weights = weights + sum(m * own for m, (own, _) in zip(multipliers, others, strict=True))
+            displacement = chosen.displacement(record.vertices, weights)
+        return Candidate(weights, displacement, math.sqrt(max(float((rising * displacement).sum()), 0.0)))
+
+    return solve
+
+
+def _max_norm(record: Record, chosen: Setup, rising: Array, size: float, without: Sequence[Array] = ()) -> Array:
+    """The weights [m, k] of the rule `max-norm`; `rising` [n, k] is -s but for its size.
+
+    Among the steps that gain nothing by the fields [n, k] of `without`.
+    """
     weights, blocks, backs = np.zeros((chosen.count, rising.shape[1])), [], []
-    parts = list(_columns(record, chosen))
+    parts, share = list(_columns(record, chosen)), _shares(record, size)
     for components, _, U in parts:
-        left, values, right = np.linalg.svd(U, full_matrices=False)
+        left, values, right = np.linalg.svd(U / share[:, None], full_matrices=False)
         kept = values > max(U.shape) * EPS * values[0]
         blocks.append(Block(components, left[:, kept]))
         backs.append(right[kept].T / values[kept])
-    found = best_displacement(blocks, rising, _areas(record), NORM)
+    found = best_displacement(
+        blocks, share[:, None] * rising, _areas(record), NORM, without=[share[:, None] * field for field in without]
+    )
     for (components, columns, _), back, coordinates in zip(parts, backs, found.coordinates, strict=True):
         weights[np.ix_(columns, components)] = back @ coordinates
     return weights
 
 
-def _natural(record: Record, chosen: Setup, rising: Array) -> Array:
+def _natural(record: Record, chosen: Setup, rising: Array, _size: float) -> Array:
     """The weights [m, k] of the rule `natural`."""
     weights, area, stiffness = np.zeros((chosen.count, rising.shape[1])), _areas(record), None
     length = record.summary.get("smooth")
@@ -133,7 +233,7 @@ def _natural(record: Record, chosen: Setup, rising: Array) -> Array:
     return weights
 
 
-def _steepest(record: Record, chosen: Setup, rising: Array) -> Array:
+def _steepest(record: Record, chosen: Setup, rising: Array, _size: float) -> Array:
     """The weights [m, k] of the rule `steepest`."""
     weights = np.zeros((chosen.count, rising.shape[1]))
     for components, columns, U in _columns(record, chosen):

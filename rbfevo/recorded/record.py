@@ -18,7 +18,10 @@ from rbfevo.errors import UserError
 from rbfevo.scoring.fronts import knee_of
 
 SETUPS = ("centers", "regularity", "improvement_potential", "method", "preference", "nondominated")
+OF_EACH = ("potentials", "bounded_potentials", "worst_potential")  # of setups.npz, where there are several objectives
 SCENARIO = ("vertices", "faces", "gradient", "weights", "lower", "upper")
+LISTED = 4  # objectives at most that a line names
+PLAIN = "improvement potential"  # what is searched, unless a norm other than 2 or several objectives are asked for
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +32,8 @@ class Record:
         centers: [p, m, d], model units.
         regularity, improvement_potential: [p], NaN where a setup has no score.
         method, preference, nondominated: [p]; preference is NaN where there is none.
-        vertices, faces, gradient, weights: [n, d], [f, 3], [n, k] of unit (weighted) norm, [n].
+        vertices, faces, gradient, weights: [n, d], [f, 3], [n, k] of unit (weighted) norm, [n]. Of J objectives the
+            gradient is [n, J k]: those of all, each times the root of its share. `alone` has that of one.
         lower, upper: [d] corners of the box.
         summary: summary.json.
         stays: [n] bool, vertices that should not move; None if the run did not save it.
@@ -37,8 +41,12 @@ class Record:
         blend: [n] what rows of U are multiplied by, 0 where a vertex is held, and the held points [h, d]; None without.
         genotype: [p, D] setups of another representation than RBFs, whose `centers` are where control points sit.
         gradient_raw: [n, k] the gradient before smoothing, in the scale of `gradient`; None without smoothing.
+        max_displacement: [n] how far each vertex may move at most, model units; None without bounds.
         label: [p] names of setups that have one, such as the files of `method=given`, else empty; None where none has.
         bounded_potential: [p] P_p where `criterion.norm` is not 2; then it is what was searched; else None.
+        gradients: [J, n, k] of each of several objectives, of unit norm; potentials, bounded_potentials: [p, J] P and
+            P_p of each; worst_potential: [p] the least of those searched, where it was searched. None where there are
+            none.
     """
 
     centers: Array
@@ -62,6 +70,11 @@ class Record:
     gradient_raw: Array | None = None
     bounded_potential: Array | None = None
     label: Array | None = None
+    max_displacement: Array | None = None
+    gradients: Array | None = None
+    potentials: Array | None = None
+    bounded_potentials: Array | None = None
+    worst_potential: Array | None = None
 
     def origin(self, row: int) -> str:
         """The method of a row, with the name of its setup where it has one."""
@@ -69,25 +82,96 @@ class Record:
         return f"{self.method[row]}{name and f' ({name})'}"
 
     @property
+    def objectives(self) -> tuple[str, ...]:
+        """The names of several objectives; none where there is only one."""
+        return tuple(entry["name"] for entry in self._sensitivities)
+
+    @property
+    def shares(self) -> Array:
+        """[J] the shares of several objectives in the gradient's squared norm, of sum 1."""
+        return np.array([entry["share"] for entry in self._sensitivities], dtype=np.float64)
+
+    @property
+    def _sensitivities(self) -> list[dict[str, Any]]:
+        """What summary.json has of each of several objectives."""
+        return [] if self.gradients is None else self.summary["sensitivities"]
+
+    def alone(self, index: int) -> Record:
+        """The run with one of several objectives: its gradient and potentials in the place of the run's."""
+        if self.gradients is None or self.potentials is None:
+            return self
+        entry, k = self._sensitivities[index], self.gradients.shape[2]
+        of_summary = {key: entry.get(key) for key in ("gradient_norm", "objective")}
+        raw, bounded = self.gradient_raw, self.bounded_potentials
+        columns = slice(index * k, (index + 1) * k)
+        return dataclasses.replace(
+            self,
+            gradient=self.gradients[index],
+            gradient_raw=None if raw is None else raw[:, columns] / np.sqrt(entry["share"]),
+            improvement_potential=self.potentials[:, index],
+            bounded_potential=None if bounded is None else bounded[:, index],
+            summary={key: self.summary[key] for key in self.summary if key != "sensitivities"} | of_summary,
+            **dict.fromkeys(("gradients", *OF_EACH)),
+        )
+
+    def each(self) -> list[Record]:
+        """The run once for each objective; itself where there is only one."""
+        return [self.alone(index) for index in range(max(1, len(self._sensitivities)))]
+
+    @property
     def potential(self) -> Array:
-        """[p] the potential that was searched with regularity: bounded potential where there is one, else P."""
+        """[p] the potential that was searched with regularity: P, bounded potential, or the least of several."""
+        if self.worst_potential is not None:
+            return self.worst_potential
         return self.improvement_potential if self.bounded_potential is None else self.bounded_potential
+
+    @property
+    def potential_of_each(self) -> Array:
+        """[p, J] that of each of several objectives, of which `potential` is the weighted mean, or the least."""
+        found = self.potentials if self.bounded_potentials is None else self.bounded_potentials
+        return np.zeros((len(self.regularity), 0)) if found is None else found
 
     @property
     def potential_name(self) -> str:
         """What pictures call it."""
-        if self.bounded_potential is None:
-            return "improvement potential"
-        p = self.summary.get("criterion_norm")
-        return f"bounded potential (p = {p:g})" if isinstance(p, int | float) else "bounded potential"
+        p, name = self.summary.get("criterion_norm"), PLAIN
+        if self.bounded_potential is not None:
+            name = f"bounded potential (p = {p:g})" if isinstance(p, int | float) else "bounded potential"
+        return f"{self._combined}{name}"
 
     @property
     def potential_symbol(self) -> str:
-        """P, or P_16."""
+        """P, or P_16; of several objectives mean P, or min P."""
+        return f"{self._combined.replace('minimum', 'min')}{self.symbol_of_each}"
+
+    @property
+    def symbol_of_each(self) -> str:
+        """P, or P_16, of one objective."""
         p = self.summary.get("criterion_norm")
         if self.bounded_potential is None:
             return "P"
         return f"P_{p:g}" if isinstance(p, int | float) else "P_p"
+
+    @property
+    def _combined(self) -> str:
+        """What the names of potentials begin with."""
+        return "" if self.gradients is None else "mean " if self.worst_potential is None else "minimum "
+
+    @property
+    def combination(self) -> str:
+        """How several objectives are combined, such as `mean of drag (0.667), lift (0.333)`; empty of one."""
+        if self.gradients is None:
+            return ""
+        shares = [""] * len(self.shares) if self.worst_potential is not None else [f" ({s:.3g})" for s in self.shares]
+        names = [f"{name}{share}" for name, share in zip(self.objectives, shares, strict=True)]
+        more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+        return f"{self._combined}of {', '.join(names[:LISTED])}{more}"
+
+    def listed(self, row: int) -> str:
+        """The potential of each of several objectives of a setup, in a line; empty where there is only one."""
+        return ", ".join(
+            f"{name} {value:.4f}" for name, value in zip(self.objectives, self.potential_of_each[row], strict=True)
+        )
 
     @property
     def scored(self) -> Array:
@@ -139,8 +223,10 @@ def read(run: Path) -> Record:
     """
     if not run.is_dir():
         raise UserError(f"{run}: {'is a file, not a' if run.exists() else 'there is no such'} run directory")
-    setups = _arrays(run / "setups.npz", SETUPS, ("variability", "genotype", "bounded_potential", "label"))
-    scenario = _arrays(run / "scenario.npz", SCENARIO, ("stays", "blend", "held", "gradient_raw"))
+    optional = ("variability", "genotype", "bounded_potential", "label", *OF_EACH)
+    setups = _arrays(run / "setups.npz", SETUPS, optional)
+    of_vertices = ("stays", "blend", "held", "gradient_raw", "gradients", "max_displacement")
+    scenario = _arrays(run / "scenario.npz", SCENARIO, of_vertices)
     stays = scenario.pop("stays", None)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
     p, n = len(setups["regularity"]), len(scenario["vertices"])
@@ -152,14 +238,39 @@ def read(run: Path) -> Record:
         and all(len(scenario[key]) == n for key in ("gradient", "weights"))
         and (stays is None or stays.shape == (n,))
         and ("blend" not in scenario or scenario["blend"].shape == (n,))
+        and ("max_displacement" not in scenario or scenario["max_displacement"].shape == (n,))
         and ("blend" in scenario) == ("held" in scenario)
         and scenario.get("gradient_raw", scenario["gradient"]).shape == scenario["gradient"].shape
         and isinstance(summary, dict)
+        and _fitting_objectives(setups, scenario, summary)
     )
     if not fitting:
         raise UserError(f"{run}: setups.npz, scenario.npz and summary.json do not match; restore the files of one run")
     setups["method"], setups["nondominated"] = setups["method"].astype(str), setups["nondominated"].astype(bool)
     return Record(**setups, **scenario, summary=summary, stays=None if stays is None else stays.astype(bool))
+
+
+def _fitting_objectives(setups: dict[str, Array], scenario: dict[str, Array], summary: dict[str, Any]) -> bool:
+    """Whether all files hold the same number of several objectives, or none of them any."""
+    entries, fields = summary.get("sensitivities"), scenario.get("gradients")
+    if entries is None or fields is None:
+        return entries is None and fields is None and not any(name in setups for name in OF_EACH)
+    if not isinstance(entries, list) or fields.ndim != 3 or len(entries) != len(fields) or len(fields) < 2:
+        return False
+    named = all(
+        isinstance(entry, dict) and isinstance(entry.get("name"), str) and isinstance(entry.get("share"), float)
+        for entry in entries
+    )
+    (count, n, k), p = fields.shape, len(setups["regularity"])
+    bounded = setups.get("bounded_potentials")
+    return (
+        named
+        and scenario["gradient"].shape == (n, count * k)
+        and "potentials" in setups
+        and setups["potentials"].shape == (p, count)
+        and (bounded is None or bounded.shape == (p, count))
+        and (bounded is None) == ("bounded_potential" not in setups)
+    )
 
 
 FIT = ("centers", "parameters", "deformed", "local_error", "moved_centers")

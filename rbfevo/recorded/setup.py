@@ -204,10 +204,10 @@ class Setup:
 
     def free_displacement(self, points: Array, weights: Array, block: int = BLOCK) -> Array:
         """Displacements [q, k] of points [q, d] as if nothing were held: at the centers what `weights` takes."""
-        moved, block = np.zeros((len(points), weights.shape[1])), self._rows(block)
+        moved, block = np.zeros((len(points), weights.shape[1])), self.rows_at_once(block)
         for start in range(0, len(points), block):
             rows = slice(start, start + block)
-            places = self._on_one_side(points[rows])
+            places = self.on_one_side(points[rows])
             for components, across, _ in self.parities(weights.shape[1]):
                 phi, own = self.columns(places, across), weights[:, components]
                 if self.planar is None:
@@ -216,7 +216,7 @@ class Setup:
                     moved[rows, components] = sum(phi[:, j, None] * own[j] for j in range(len(own)))
         return moved
 
-    def _on_one_side(self, points: Array) -> Array:
+    def on_one_side(self, points: Array) -> Array:
         """Points [q, 3], those on either side of a slab with the same coordinate along its axis."""
         if self.planar is None:
             return points
@@ -230,8 +230,13 @@ class Setup:
 
         Rows count with the square root of their weight. One pass over blocks of vertices keeps the triangular factor of
         [Phi | g]; where columns depend on each other the weights are those of minimum norm.
+
+        Raises:
+            UserError: for a run of several objectives, each of which has a best approximation of its own.
         """
-        (n, k), block = record.gradient.shape, self._rows(block)
+        if record.gradients is not None:
+            raise UserError(f"this run has several objectives, {', '.join(record.objectives)}: take one of them")
+        (n, k), block = record.gradient.shape, self.rows_at_once(block)
         weights = np.zeros((self.count, k))
         for components, across, columns in self.parities(k):
             triangle = np.empty((0, len(columns) + len(components)))
@@ -252,7 +257,8 @@ class Setup:
         """
         return self.fit(record, block) * (record.gradient_norm or 1.0)
 
-    def _rows(self, block: int) -> int:
+    def rows_at_once(self, block: int = BLOCK) -> int:
+        """How many rows of columns are made at a time."""
         return min(block, max(1024, CELLS // self.count))
 
     def centers_and_images(self) -> Centers:

@@ -7,20 +7,23 @@ import functools
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from rbfevo import methods
 from rbfevo.errors import UserError
 from rbfevo.methods.method import Method, Problem, Rows, no_preference, random_stream
 from rbfevo.runs.config import OWN_CENTERS, Settings, build
 from rbfevo.runs.identity import stages_of
+from rbfevo.runs.judged import Judged
+from rbfevo.scenarios.beginnings import read_kept, read_starts
 from rbfevo.scenarios.coarse import coarsened, matched
 from rbfevo.scenarios.scenario import Scenario
-from rbfevo.scoring.bounded import BoundedPotential
+from rbfevo.scoring.bounded import BoundedPotential, bounded_of
 from rbfevo.scoring.bounded_evaluator import BoundedEvaluator
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.evolvability import Scores
 from rbfevo.scoring.kernels import Kernel
-from rbfevo.scoring.representations import Representation
+from rbfevo.scoring.representations import Representation, Space, keeping
 from rbfevo.scoring.symmetric import evaluator_of
 
 # Up to this many numbers in U the rows of a result are scored by the definition, above by the blocked evaluator.
@@ -52,6 +55,7 @@ class Parts:
         method = build(settings.method)
         self.stages = stages_of(method)
         self.settings = settings = self._counted(settings)
+        self.kept = self._kept(settings)
         n, d = self.scenario.vertices.shape
         if settings.centers > n:
             raise UserError(
@@ -61,7 +65,7 @@ class Parts:
         self.representation: Representation = build(
             settings.representation, self.scenario, self.kernel, settings.centers
         )
-        self.space = self.representation.space(self.scenario, settings.centers)
+        self.space = self._space()
         self._refuse_too_few_vertices(method)
         self.name: str = method.name
         for stage in self.stages:
@@ -89,6 +93,42 @@ class Parts:
             self.scenario = dataclasses.replace(self.scenario, notes={**self.scenario.notes, **notes})
         return settings
 
+    def _kept(self, settings: Settings) -> Tensor:
+        """The centers [k, d] that every setup begins with; they and the starts of searches are read here.
+
+        Raises:
+            UserError: if a file cannot be used, or the method brings all centers itself.
+        """
+        kept, scenario = self.scenario.vertices.new_empty(0, self.scenario.vertices.shape[1]), self.scenario
+        notes: dict[str, str] = {}
+        if settings.keep is not None:
+            for stage in (stage for stage in self.stages if stage.brings):
+                raise UserError(f"keep={settings.keep}: method={stage.name} brings all centers itself; leave it out")
+            kept, notes = read_kept(settings.keep, scenario, settings.centers)
+            if scenario.mirror is not None:  # of an odd number of centers one is on the plane
+                pinned = settings.centers % 2 == 1 and not bool(scenario.mirror.on_plane(kept).any())
+                scenario = dataclasses.replace(scenario, pinned=pinned)
+        for stage in (stage for stage in self.stages if stage.begins):
+            stage.inputs, found = read_starts(stage.begins, scenario, kept, settings.centers)
+            notes |= found
+        self.scenario = dataclasses.replace(scenario, notes={**scenario.notes, **notes})
+        return kept
+
+    def _space(self) -> Space:
+        """Where setups are searched, beside the centers that stay.
+
+        Raises:
+            UserError: if there are such centers, or starts, and the representation does not consist of centers.
+        """
+        asked = [stage.inputs for stage in self.stages if stage.begins and stage.inputs is not None]
+        if len(self.kept) or asked:
+            setup = self.kept if len(self.kept) else asked[0][0]
+            if self.representation.assemble(setup) is None:
+                key = "keep" if len(self.kept) else "method.start"
+                raise UserError(f"{key} is for centers, and representation={self.representation.name} has none")
+        space = self.representation.space(self.scenario, self.settings.centers - len(self.kept))
+        return keeping(self.kept, space) if len(self.kept) else space
+
     def _chosen_backend(self) -> str:
         n = len(self.scenario.vertices)
         small = self.planned * min(n, self.scenario.search_vertices or n) < COMPILE_FROM
@@ -107,11 +147,11 @@ class Parts:
     def _evaluator(self, scenario: Scenario) -> Evaluator:
         """Of this run's kernel, manipulation and criterion, on a scenario's vertices; a GPU does no more than that."""
         plain = evaluator_of(scenario.to(self.device), self.representation, self.settings.manipulation, self._backend)
-        return plain if self.norm == 2.0 else BoundedEvaluator(plain, self._bounded(scenario))
+        return plain if self.norm == 2.0 else BoundedEvaluator(plain, self.bounded(scenario))
 
-    def _bounded(self, scenario: Scenario) -> BoundedPotential:
-        design = (scenario.vertices, scenario.gradient, self.representation, self.norm)
-        return BoundedPotential(*design, scenario.weights, scenario.blend, scenario.mirror)
+    def bounded(self, scenario: Scenario) -> list[BoundedPotential]:
+        """P_p of this run's setups on a scenario's vertices, of each objective."""
+        return [bounded_of(alone, self.representation, self.norm, alone.mirror) for alone in scenario.each()]
 
     @property
     def norm(self) -> float:
@@ -155,8 +195,11 @@ class Parts:
                 return self._problem(fewer, coarse, initial)
             trial = self._evaluator(fewer)
             known = initial if len(initial.centers) else self._for_matching
-            potential = trial(known.centers).improvement_potential
-            fewer = matched(fewer, potential, known.scores.improvement_potential)
+            if scenario.objectives is None:
+                potential = trial(known.centers).improvement_potential
+                fewer = matched(fewer, potential, known.scores.improvement_potential)
+            else:
+                fewer = matched(fewer, trial.of_each(known.centers)[1], self.full_evaluator.of_each(known.centers)[1])
             coarse = self._evaluator(fewer)
             coarse.evaluations = trial.evaluations
             self.coarse_evaluators.append(coarse)
@@ -174,6 +217,7 @@ class Parts:
             spectrum=evaluator.spectrum,
             coarsened=fewer_vertices,
             norm=self.norm,
+            kept=self.kept,
         )
         return problem
 
@@ -184,23 +228,35 @@ class Parts:
 
     def rescore(self, centers: torch.Tensor) -> Scores:
         """Scores on all vertices, by the definition where U is not too large for that."""
+        return self.rescore_each(centers)[0]
+
+    def rescore_each(self, centers: torch.Tensor) -> tuple[Scores, torch.Tensor]:
+        """`rescore`, and P [p, J] of each objective; P itself is that of the whole gradient, the mean."""
         evaluator = self.full_evaluator
         if isinstance(evaluator, BoundedEvaluator):
             evaluator = evaluator.plain
         if self.defined:
-            return evaluator.definition(centers)
-        return evaluator_of(
-            self.scenario.to(self.device), self.representation, self.settings.manipulation, evaluator.backend
-        )(centers)  # one of its own: these are no evaluations of the search
+            scores, potentials = evaluator.definition_of_each(centers)
+        else:
+            design = self.scenario.to(self.device), self.representation, self.settings.manipulation, evaluator.backend
+            scores, potentials = evaluator_of(*design).of_each(centers)  # one of its own: no evaluations of the search
+        mean = evaluator.combination.mean
+        return scores._replace(improvement_potential=mean(potentials)), potentials
 
-    def searched_scores(self, rows: Rows) -> Scores:
-        """The scores of rows that `rescore` has scored, as they are searched: with bounded potential in place of P."""
-        if self.norm == 2.0:
-            return rows.scores
-        bounded = self._bounded(self.scenario)
-        found = bounded.definition(rows.centers) if self.defined else bounded.values(rows.centers, gap=0.0)
-        lost = rows.scores.failed | ~torch.isfinite(found)
-        return rows.scores._replace(improvement_potential=torch.where(lost, 0.0, found))
+    def judged(self, rows: Rows) -> Judged:
+        """Rows scored on all vertices, as they are saved and as they are searched."""
+        if self.scenario.objectives is None:
+            rows, potentials = rows._replace(scores=self.rescore(rows.centers)), None
+        else:
+            scores, potentials = self.rescore_each(rows.centers)
+            rows = rows._replace(scores=scores)
+        bounded = None
+        if isinstance(self.full_evaluator, BoundedEvaluator):
+            evaluator = BoundedEvaluator(self.full_evaluator.plain, self.bounded(self.scenario))
+            found = evaluator.exact(rows.centers, self.defined)
+            lost = rows.scores.failed | ~torch.isfinite(found).all(1)
+            bounded = torch.where(lost[:, None], 0.0, found)
+        return Judged(rows, potentials, bounded, self.full_evaluator.combination)
 
 
 def unused_preferences(settings: Settings) -> list[str]:

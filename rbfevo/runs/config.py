@@ -40,6 +40,7 @@ class RunConfig:
     criterion: Any = None
     seed: int = 0
     centers: int = CENTERS
+    keep: Any = None
     preference: Any = None
     device: str = "auto"
     evaluator: str = "auto"
@@ -73,6 +74,7 @@ class Settings:
     quiet: bool
     checkpoint_every: float | None
     criterion_norm: float = 2.0
+    keep: str | None = None
 
 
 def check(config: DictConfig, overrides: Sequence[str] = ()) -> Settings:
@@ -102,6 +104,7 @@ def check(config: DictConfig, overrides: Sequence[str] = ()) -> Settings:
         quiet=top.quiet,
         checkpoint_every=checkpoint_every(top.checkpoint),
         criterion_norm=criterion_norm(top.criterion),
+        keep=kept_file(top.keep),
     )
 
 
@@ -128,6 +131,7 @@ def check_top(config: DictConfig) -> RunConfig:
     preferences(top.preference)
     checkpoint_every(top.checkpoint)
     criterion_norm(top.criterion)
+    kept_file(top.keep)
     return top
 
 
@@ -165,6 +169,17 @@ def criterion_norm(node: Any) -> float:
     if not (number and 2 <= p < math.inf):
         raise UserError(f"criterion.norm={p}: give a number of at least 2; 2 is the paper's potential")
     return float(p)
+
+
+def kept_file(value: Any) -> str | None:
+    """The file with the centers that every setup begins with, or None.
+
+    Raises:
+        UserError: unless it is null or the name of a file.
+    """
+    if value is None or (isinstance(value, str) and value):
+        return value
+    raise UserError(f"keep={value}: give a file with the control points that stay, or null")
 
 
 def preferences(value: Any) -> tuple[float, ...] | None:

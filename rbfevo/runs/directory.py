@@ -11,7 +11,7 @@ from rbfevo.files import refuse_held
 
 CHECKPOINT = "checkpoint.npz"
 RESULTS = (
-    *("setups.npz", "setups.csv", "history.csv", "scenario.npz", "summary.json"),
+    *("setups.npz", "setups.csv", "sequence.csv", "history.csv", "scenario.npz", "summary.json"),
     *("front.png", "centers.png", "report.html"),
 )
 

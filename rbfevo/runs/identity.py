@@ -12,6 +12,8 @@ from rbfevo.methods.method import Method
 from rbfevo.runs.checkpoint import digest, load
 from rbfevo.runs.config import MOVED, RBF, Settings, build
 
+ADDED = {"objective_weights": None, "objective_names": None, "combine": "mean"}  # later keys of scenario=mesh
+
 
 def checkpoint_for(settings: Settings, directory: Path) -> dict[str, Any] | None:
     """The checkpoint that the run is to go on from; None if it was made before the search began.
@@ -55,20 +57,33 @@ def identity(settings: Settings, whole: bool = False) -> str:
         del plain[free]
     if plain["criterion_norm"] == 2.0:  # checkpoints from before there were others
         del plain["criterion_norm"]
+    if plain["keep"] is None:  # checkpoints from before there was the key
+        del plain["keep"]
     if plain["representation"] == RBF:  # checkpoints from before there were others
         del plain["representation"]
+    plain["scenario"] = {  # of checkpoints from before there were these keys
+        key: value for key, value in plain["scenario"].items() if key not in ADDED or value != ADDED[key]
+    }
     before = {now: then for then, now in MOVED.items()}
     plain["kernel"] = {
         **plain["kernel"],
         "_target_": before.get(plain["kernel"]["_target_"], plain["kernel"]["_target_"]),
     }
-    return digest(plain if whole else {**plain, "method": _without_generations(plain["method"])})
+    method = _without_starts(plain["method"])
+    return digest({**plain, "method": method if whole else _without_generations(method)})
 
 
 def _without_generations(node: Any) -> Any:
     if not isinstance(node, dict):
         return node
     return {key: _without_generations(value) for key, value in node.items() if key != "generations"}
+
+
+def _without_starts(node: Any) -> Any:
+    """The settings of a method without starts where there are none, as in checkpoints from before there was the key."""
+    if not isinstance(node, dict):
+        return node
+    return {key: _without_starts(value) for key, value in node.items() if (key, value) != ("start", None)}
 
 
 def stages_of(method: Any) -> list[Method]:

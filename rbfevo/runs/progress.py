@@ -113,16 +113,26 @@ class Reporter:
             self._bar = None
 
     def closing_table(
-        self, table: dict[str, np.ndarray], directory: Path, idle: np.ndarray | None = None, norm: float = 2.0
+        self,
+        table: dict[str, np.ndarray],
+        directory: Path,
+        idle: np.ndarray | None = None,
+        norm: float = 2.0,
+        several: Sequence[str] = (),
     ) -> None:
         """Best regularity, best potential as searched and hypervolume by method, the knee, and where the files are.
 
         Args:
             table: the arrays of setups.npz; idle: [p, m] which centers have no free vertex in reach: those of the
-                knee and of the best setups are named. norm: p of the potential that was searched.
+                knee and of the best setups are named. norm: p of the potential that was searched; several: names of
+                several objectives, whose potentials at the knee are shown.
         """
-        potential = table.get("bounded_potential", table["improvement_potential"])
-        P = "P" if norm == 2.0 else f"P_{norm:g}"
+        plain = "P" if norm == 2.0 else f"P_{norm:g}"
+        potential, P = table.get("bounded_potential", table["improvement_potential"]), plain
+        if several:
+            P = f"mean {plain}"
+        if "worst_potential" in table:
+            potential, P = table["worst_potential"], f"min {plain}"
         objectives = np.stack((table["regularity"], potential), axis=1)
         names = list(dict.fromkeys(table["method"].tolist()))
         shown = Table("method", "setups", "best R", f"best {P}", "hypervolume")
@@ -136,6 +146,10 @@ class Reporter:
         preference = table["preference"][i]
         origin = table["method"][i] + ("" if math.isnan(preference) else f", preference {preference:g}")
         self.line(f"knee: R = {objectives[i, 0]:.4g}, {P} = {objectives[i, 1]:.4f} (row {i}, {origin})")
+        if several:
+            own = table["potentials" if norm == 2.0 else "bounded_potentials"][i].tolist()
+            listed = ", ".join(f"{name} {value:.4f}" for name, value in zip(several, own, strict=True))
+            self.line(f"knee, {plain} of each objective: {listed}")
         if "label" in table:
             for row in np.flatnonzero(table["label"] != "").tolist():
                 R, value = objectives[row]

@@ -10,13 +10,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from rbfevo import figures
 from rbfevo.errors import UserError
 from rbfevo.files import clear_unfinished
 from rbfevo.methods.method import Method, Problem, Rows, rows_of, rows_state
-from rbfevo.runs import storage
+from rbfevo.runs import sequence, storage
 from rbfevo.runs.assembly import Parts, unused_preferences
 from rbfevo.runs.checkpoint import digest, tensors
 from rbfevo.runs.config import Settings
@@ -29,6 +30,7 @@ from rbfevo.runs.progress import Reporter
 from rbfevo.runs.summary import differences, summary, versions
 from rbfevo.scenarios import reach
 from rbfevo.scoring import compilation
+from rbfevo.scoring.fronts import ENOUGH, enough_of
 from rbfevo.scoring.pareto import hypervolume
 from rbfevo.scoring.representations import RBF
 from rbfevo.scoring.threads import coarse
@@ -157,12 +159,14 @@ class Run(Parts):
     def _design(self) -> str:
         """A hash of what is scored, bit for bit."""
         parts = (self.scenario.vertices, self.scenario.gradient, self.scenario.weights)
-        return digest(*parts, *([] if self.scenario.blend is None else [self.scenario.blend]))
+        more = (self.scenario.blend, self.scenario.max_displacement)
+        return digest(*parts, *(part for part in more if part is not None))
 
     @functools.cached_property
     def _inputs(self) -> str | None:
         """A hash of what methods have read from files; None where they read none."""
         found = [stage.inputs for stage in self.stages if stage.inputs is not None]
+        found += [self.kept] if len(self.kept) else []
         return digest(*found) if found else None
 
     def _refuse_others(self, saved: dict[str, Any]) -> None:
@@ -174,7 +178,8 @@ class Run(Parts):
             )
         if saved.get("inputs") != self._inputs:
             raise UserError(
-                "the centers in the files of method.centers have changed since the run started; start a new run"
+                "the centers in the files of keep, method.start or method.centers have changed since the run started; "
+                "start a new run"
             )
         index, step = int(saved["stage"]), int(saved["step"])
         for place, (stage, steps) in enumerate(zip(self.stages, saved["steps"], strict=True)):
@@ -205,26 +210,42 @@ class Run(Parts):
         if not self.rows:
             reporter.line("stopped before any result; nothing was written")
             return
-        rescored = [rows._replace(scores=self.rescore(rows.centers)) for rows in self.rows]
-        judged = [rows._replace(scores=self.searched_scores(rows)) for rows in rescored]
+        judged = [self.judged(rows) for rows in self.rows]
         if self.searched is not self.scenario:
-            self.differences = differences(self.rows[self._drawn :], judged[self._drawn :])
+            found = [one.rows._replace(scores=one.searched) for one in judged]
+            self.differences = differences(self.rows[self._drawn :], found[self._drawn :])
         idle = None
         if isinstance(self.representation, RBF) and self.kernel.support is not None:
             found = torch.cat([row.centers for row in self.rows])
             self.warnings += reach.out_of_reach(self.scenario, self.kernel.support, found)
             idle = reach.idle_centers(self.scenario, self.kernel.support, found.nan_to_num()).numpy()
-        searched = None if self.norm == 2.0 else [rows.scores for rows in judged]
-        table = storage.setup_table(rescored, self.representation, self.scenario.vertices.shape[1], searched)
-        objectives = torch.cat([rows.scores.objectives for rows in judged])
+        rows = [one.rows for one in judged]
+        table = storage.setup_table(rows, self.representation, self.scenario.vertices.shape[1], judged)
+        objectives = torch.cat([one.searched.objectives for one in judged])
         storage.write_scenario(directory, self.scenario)
-        storage.write_setups(directory, table)
+        names = () if self.scenario.objectives is None else self.scenario.objectives.names
+        storage.write_setups(directory, table, names)
+        self._write_sequence(directory, reporter)
         journal.publish()
         storage.write_summary(directory, summary(self, hypervolume(objectives)))
         drawn = figures.draw(directory) if self.settings.figures else []
         for warning in [*self.warnings[self.printed :], *drawn]:
             reporter.line(f"warning: {warning}")
-        reporter.closing_table(table, directory, idle, self.norm)
+        reporter.closing_table(table, directory, idle, self.norm, names)
+
+    def _write_sequence(self, directory: Path, reporter: Reporter) -> None:
+        """Write sequence.csv where a method placed one center after the other, and say where another stops paying."""
+        picked = next((rows.picked for rows in self.rows if rows.picked is not None), None)
+        if picked is None or not sequence.is_scored(self):
+            return
+        table = sequence.table(self, picked, self.settings.manipulation)
+        storage.write_sequence(directory, table)
+        gains = np.sqrt(table.get("bounded_potential", table["improvement_potential"]))
+        number = enough_of(table["centers"].tolist(), gains.tolist())
+        if number is not None and len(self.stages) == 1:
+            P = "P" if self.norm == 2.0 else f"P_{self.norm:g}"
+            share = f"{ENOUGH:.0%} of the gain of all, the square root of {P}"
+            reporter.line(f"the first {number} of {len(picked)} centers reach {share}")
 
 
 def carry_out(

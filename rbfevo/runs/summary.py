@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from rbfevo.methods.method import Rows
+from rbfevo.scenarios.objectives import Objectives
 
 if TYPE_CHECKING:
     from rbfevo.runs.run import Run
@@ -20,7 +21,7 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
     """The contents of `summary.json`."""
     evaluations, mirror = run.total("evaluations"), run.scenario.mirror
     symmetry = None if mirror is None else {"axis": "xyz"[mirror.axis], "at": mirror.at}
-    plane = run.scenario.planar
+    plane, objectives = run.scenario.planar, run.scenario.objectives
     return {
         "scenario": run.scenario.name,
         "kernel": run.kernel.name,
@@ -29,6 +30,7 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
         "manipulation": run.settings.manipulation,
         "method": run.name,
         "centers": run.settings.centers,
+        **({"kept": len(run.kept)} if len(run.kept) else {}),
         "seed": run.settings.seed,
         "device": describe(run.device),
         "versions": versions(),
@@ -41,15 +43,16 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
         "scored_by": "definition" if run.defined else "evaluator",
         "seconds": run.seconds,
         "evaluations_per_second": evaluations / run.seconds if run.seconds > 0 else 0.0,
-        "objectives": ["regularity", "improvement_potential" if run.norm == 2.0 else "bounded_potential"],
+        "objectives": ["regularity", searched(run)],
         "criterion_norm": run.norm,
         "hypervolume": volume,
         "stop_reason": run.stop_reason,
         "evaluator": run.evaluator.backend,
         "threads": run.threads,
-        "gradient_norm": run.scenario.gradient_norm if math.isfinite(run.scenario.gradient_norm) else None,
+        "gradient_norm": finite(run.scenario.gradient_norm) if objectives is None else None,
         "gradient_is": "direction" if run.scenario.direction_only else "displacement",
         "objective": run.scenario.objective,
+        **({} if objectives is None else of_each(objectives)),
         "smooth": run.scenario.smooth,
         "symmetry": symmetry,
         "hold_width": None if run.scenario.hold is None else run.scenario.hold.width,
@@ -61,6 +64,27 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
         "notes": run.scenario.notes,
         "warnings": run.warnings,
     }
+
+
+def searched(run: Run) -> str:
+    """The column of setups.npz that was searched beside regularity."""
+    if run.scenario.objectives is not None and run.scenario.objectives.worst:
+        return "worst_potential"
+    return "improvement_potential" if run.norm == 2.0 else "bounded_potential"
+
+
+def of_each(objectives: Objectives) -> dict[str, Any]:
+    """What is known of each of several objectives, in the order of `gradients` in scenario.npz."""
+    keys = ("name", "source", "objective", "share", "gradient_norm")
+    norms = map(finite, objectives.norms)
+    rows = zip(objectives.names, objectives.sources, objectives.directions, objectives.shares, norms, strict=True)
+    listed = [dict(zip(keys, row, strict=True)) for row in rows]
+    return {"combine": "worst" if objectives.worst else "mean", "sensitivities": listed}
+
+
+def finite(value: float) -> float | None:
+    """A number as JSON has it."""
+    return value if math.isfinite(value) else None
 
 
 def differences(searched: Sequence[Rows], final: Sequence[Rows]) -> dict[str, float] | None:

@@ -79,7 +79,25 @@ def sensitivity_of(template: Template) -> str | None:
     best = min(meaning.rank for meaning in template.meanings.values())
     names = sorted(name for name, meaning in template.meanings.items() if meaning.rank == best)
     if len(names) > 1:
-        raise UserError(f"the case has the sensitivities {', '.join(names)}: set scenario.sensitivity to one of them")
+        raise UserError(
+            f"the case has the sensitivities {', '.join(names)}: set scenario.sensitivity to one of them, or to a list "
+            "of several objectives, such as [A,B]"
+        )
+    return names[0]
+
+
+def field_of(template: Template, source: str) -> str:
+    """The sensitivity that a name means: where it is that of a case's adjoint solver, the best array of that solver.
+
+    Raises:
+        UserError: if the solver has several that are as good, with their names.
+    """
+    own = {name: meaning.rank for name, meaning in template.meanings.items() if meaning.solver == source}
+    if not own or source in template.arrays or source in template.cell_arrays:
+        return source
+    names = sorted(name for name, rank in own.items() if rank == min(own.values()))
+    if len(names) > 1:
+        raise UserError(f"scenario.sensitivity={source}: this adjoint solver has {', '.join(names)}; name one of them")
     return names[0]
 
 

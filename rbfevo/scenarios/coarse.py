@@ -34,6 +34,7 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
         return rows.new_zeros(cells, rows.shape[1]).index_add_(0, cell, rows)
 
     roots = blocks.W[:, None]
+    most = None if scenario.max_displacement is None else scenario.max_displacement[blocks.order]
     weights, moments, blend = total(roots.square()), blocks.g.T * roots, None
     if scenario.blend is not None:
         # With these, G and b of a column that is constant over a cell are those of the cell's vertices.
@@ -49,6 +50,7 @@ def coarsened(scenario: Scenario, count: int) -> Scenario:
         closest=None,
         stays=None,
         blend=None if blend is None else blend[:, 0],
+        max_displacement=None if most is None else (total(roots.square() * most[:, None]) / weights)[:, 0],
         gradient_raw=None,
     )
 
@@ -58,10 +60,15 @@ def matched(scenario: Scenario, potential: Tensor, expected: Tensor) -> Scenario
 
     Args:
         scenario: as `coarsened` leaves it.
-        potential: [p] P on it; expected: [p] P of the same setups on the full design.
+        potential: [p] P on it; expected: [p] P of the same setups on the full design; of several objectives both
+            [p, J], and each of their g is scaled by itself.
 
     The norm of g stays at most 1, and with it P.
     """
+    if scenario.objectives is not None:
+        columns = zip(scenario.each(), potential.unbind(1), expected.unbind(1), strict=True)
+        fields = [matched(alone, own, other).gradient for alone, own, other in columns]
+        return dataclasses.replace(scenario, gradient=scenario.objectives.stacked(fields))
     norm = (scenario.weights[:, None] * scenario.gradient.square()).sum().sqrt()
     slope = (expected * potential).sum() / potential.square().sum().clamp_min(torch.finfo(potential.dtype).tiny)
     factor = torch.minimum(slope.sqrt(), 1.0 / norm) if bool(slope > 0) else torch.ones_like(norm)

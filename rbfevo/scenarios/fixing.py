@@ -19,12 +19,12 @@ from rbfevo.geometry.lengths import length
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.parameterization import BoxRegion, Region, VertexRegion
 from rbfevo.meshes.surface import shown
+from rbfevo.scenarios.boxes import box_of
 from rbfevo.scenarios.planar import Planar
 from rbfevo.scenarios.templates import Template
 from rbfevo.scenarios.vertex_arrays import vertex_array
 
 VERBS = {"fixed": "fixes", "hold": "holds"}
-SHAPE = "a box is six numbers, [xmin,ymin,zmin,xmax,ymax,zmax], with null for an open side"
 
 
 class Marking(NamedTuple):
@@ -59,7 +59,7 @@ def marked(key: str, value: Any, template: Template, planar: Planar | None = Non
             raise UserError(f"{error}{named}") from None
         mask = np.asarray((marks.reshape(len(marks), -1) != 0.0).any(axis=1), bool)
     else:
-        box = low, high = _box(key, value)
+        box = low, high = box_of(key, value, "or give the name of a point array, a file or a patch")
         if planar is not None:
             low[planar.plane.axis], high[planar.plane.axis] = -np.inf, np.inf
         mask = np.asarray(((template.vertices >= low) & (template.vertices <= high)).all(axis=1), bool)
@@ -183,20 +183,6 @@ def _patches(key: str, value: Any, template: Template) -> tuple[str, ...]:
         return (value,) if patch else ()
     listed = list(value) if isinstance(value, Sequence) else []
     return tuple(listed) if listed and all(isinstance(name, str) for name in listed) else ()
-
-
-def _box(key: str, value: Any) -> tuple[Points, Points]:
-    sides = list(value) if isinstance(value, Sequence) else []
-    if len(sides) == 2 and all(isinstance(corner, Sequence) for corner in sides):
-        sides = [*sides[0], *sides[1]]
-    numbers = all(side is None or (isinstance(side, int | float) and not isinstance(side, bool)) for side in sides)
-    if len(sides) != 6 or not numbers:
-        raise UserError(f"scenario.{key}={value}: {SHAPE}; or give the name of a point array, a file or a patch")
-    low = np.array([-np.inf if side is None else float(side) for side in sides[:3]])
-    high = np.array([np.inf if side is None else float(side) for side in sides[3:]])
-    if np.isnan(low).any() or np.isnan(high).any() or (low > high).any():
-        raise UserError(f"scenario.{key}={value}: a lower side lies above its upper side; {SHAPE}")
-    return low, high
 
 
 def _extent(vertices: Points) -> tuple[Points, Points]:

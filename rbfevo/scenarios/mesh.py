@@ -1,7 +1,8 @@
-"""The engineer's own mesh, and where it should move: a target shape, or an adjoint solver's sensitivities."""
+"""The engineer's own mesh, and where it should move: a target shape, or the sensitivities of one or more objectives."""
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -13,13 +14,15 @@ from rbfevo.geometry import topology
 from rbfevo.geometry.correspondence import Points
 from rbfevo.geometry.lengths import length
 from rbfevo.geometry.pairing import REJECTIONS
-from rbfevo.scenarios import boundaries, fixing, sensitivities, signs, smoothing
+from rbfevo.scenarios import boundaries, fixing, limits, packaging, sensitivities
 from rbfevo.scenarios import symmetry as symmetry_plane
+from rbfevo.scenarios.asked import Asked
 from rbfevo.scenarios.design import Design
 from rbfevo.scenarios.planar import Planar
-from rbfevo.scenarios.scenario import Scenario, times_power_of_two, unit_gradient
+from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scenarios.targets import paired
 from rbfevo.scenarios.templates import Template, read_template
+from rbfevo.scenarios.wanted import Readiness, Wish, stacked, titled
 
 WEIGHTS = ("uniform", "area")
 
@@ -28,11 +31,14 @@ def mesh(
     template: str | None = None,
     patches: Any = None,
     target: str | None = None,
-    sensitivity: str | None = None,
-    sensitivity_kind: str | None = None,
-    sensitivity_normal: str | None = None,
-    sensitivity_match: str = "exact",
-    objective: str = "minimize",
+    sensitivity: Any = None,
+    sensitivity_kind: Any = None,
+    sensitivity_normal: Any = None,
+    sensitivity_match: Any = "exact",
+    objective: Any = "minimize",
+    objective_weights: Any = None,
+    objective_names: Any = None,
+    combine: str = "mean",
     target_scale: float | None = None,
     reject: str = "boundary",
     margin: float = 0.05,
@@ -40,6 +46,9 @@ def mesh(
     hold: Any = None,
     hold_width: Any = "5%",
     keep_out: bool | None = None,
+    inside: Any = None,
+    outside: Any = None,
+    max_displacement: Any = None,
     weights: str = "uniform",
     smooth: Any = None,
     symmetry: str | None = None,
@@ -56,7 +65,8 @@ def mesh(
         patches: names of the template's patches (markers, physical groups, element sets) to take; None for all.
         target: a mesh or cloud as `read_surface` takes it: vertices should move to their closest points on it.
         sensitivity: the name of a point or cell array of the template, or a CSV, NPY, NPZ or VTK file: one value a
-            vertex, taken along its normal, or three. None: of a solver's case, its own.
+            vertex, taken along its normal, or three. None: of a solver's case, its own. Or a list of them, of several
+            objectives or of the load cases of one; the next four are then one value for all, or a list with one each.
         sensitivity_kind: `nodal` (integrated over a vertex's share of the surface) or `density` (per area); None is
             nodal, but doubts are refused.
         sensitivity_normal: `outward`, `inward` or `as_wound` (by the file): the normal that one value per vertex refers
@@ -64,6 +74,9 @@ def mesh(
         sensitivity_match: `exact`: a table's rows are those of the template's points, in any order; `nearest` or
             `interpolate`: of another mesh of the same surface, values per area then.
         objective: `minimize`: the design wants to move against the sensitivity; `maximize`: along it.
+        objective_weights: of several objectives, positive: of the mean of their potentials; None: equal ones.
+        objective_names: of several objectives; None: those of their arrays or files.
+        combine: of several objectives what is searched: the weighted `mean` of their potentials, or the `worst`.
         target_scale: factor by which the target is multiplied; None is 1, but mixed units are refused.
         reject: as for `face`.
         margin: by which the box is larger than the template's on each side, as a fraction of the diagonal.
@@ -72,6 +85,8 @@ def mesh(
             rows of g are 0.
         hold_width: where the blend reaches 1: model units, or a percentage of the box's diagonal.
         keep_out: whether centers may not sit among the fixed and held vertices; None: only with `hold`.
+        inside, outside: boxes and closed surfaces in which centers sit, or do not, as `packaging.packaging` takes them.
+        max_displacement: how far vertices may move at most, as `limits.limits` takes it, or None.
         weights: `uniform`, each vertex counts the same (the paper), or `area`.
         smooth: length over which g is smoothed, model units or a percentage of the box's diagonal; None leaves it.
         symmetry: x, y or z: setups stay symmetric about the plane across that axis, at `symmetry_at` or, where that is
@@ -86,7 +101,8 @@ def mesh(
         UserError: on a setting out of range, an unusable file, or if no vertex is left that should move.
     """
     _check(template, reject, margin, weights, search_vertices, up)
-    choices = sensitivities.Choices(sensitivity_kind, sensitivity_normal, sensitivity_match, objective)
+    how = sensitivity_kind, sensitivity_normal, sensitivity_match, objective
+    asked = Asked.of(sensitivity, *how, objective_weights, objective_names, combine)
     read = read_template(str(template), _names(patches), planar is not None)
     parts = f"{len(read.segments)} segments" if read.curve else f"{len(read.triangles)} triangles"
     notes = {"template": f"{template}: {len(read.vertices)} vertices, {parts}"} | read.notes
@@ -95,6 +111,7 @@ def mesh(
     notes |= more
     if target is None and sensitivity is None:
         sensitivity = boundaries.sensitivity_of(read)
+        asked = dataclasses.replace(asked, sources=() if sensitivity is None else (sensitivity,))
     if (target is None) == (sensitivity is None):
         raise UserError(_which(read, target is not None))
     flat = Planar.of(planar, read.vertices, read.curve)
@@ -115,73 +132,74 @@ def mesh(
     if mirror is None:
         more = symmetry_plane.proposal(read.vertices, rim, None if flat is None else flat.plane.axis)
     notes |= more
-    exponent, sides, pairing = 0, None, None
+    sides, pairing, warnings = None, None, []
+    names, stays = asked.titles(read), np.zeros(len(read.vertices), bool)
     if target is not None:
-        choices.refuse_with_target()
+        asked.choices[0].refuse_with_target()
         pairing, more, warnings = paired(read.vertices, design.normals, target, target_scale, reject, flat)
-        wanted, stays = pairing.displacement, pairing.rejected
+        wishes, stays = [Wish(target, pairing.displacement)], pairing.rejected
+        notes |= more
     else:
-        sides = design.sides(read, flat)
-        given = str(sensitivity), choices, read, str(template), sides, design.areas, design.mass
-        wanted, exponent, more, warnings = sensitivities.descent(*given)
-        stays = np.zeros(len(wanted), bool)
-    notes |= more
+        sides, wishes = design.sides(read, flat), []
+        for source, choices, name in zip(asked.fields(read), asked.choices, names, strict=True):
+            found = sensitivities.descent(source, choices, read, str(template), sides, design.areas, design.mass)
+            wishes.append(Wish(source, found.wanted, found.exponent, choices.objective))
+            notes |= titled(found.notes, name, source)
+            warnings += [warning for warning in found.warnings if warning not in warnings]
     still = fixing.fixing(fixed, hold, hold_width, keep_out, read, (lower, upper), mirror, flat)
     stays, notes = stays | still.stays, notes | still.notes
+    of_design = (lower, upper), mirror, None if flat is None else flat.plane
+    packed, more = packaging.packaging(inside, outside, *of_design, still.region)
+    region, notes = packed or still.region, notes | more
     stays = stays if flat is None else flat.either(stays)
-    wanted = np.where(stays[:, None], 0.0, wanted)
-    if not wanted.any():
-        raise UserError(
-            f"{target or sensitivity}: no vertex is left that should move; check scenario.fixed, hold and reject"
-        )
-    if flat is not None:
-        wanted, more = flat.wanted(wanted, design.mass)
-        notes |= more
-
-    diagonal = float((upper - lower).norm())
+    diagonal, most = float((upper - lower).norm()), None
+    if max_displacement is not None:
+        held = np.zeros(len(read.vertices), bool) if still.blend is None else still.blend == 0.0
+        most, notes["max displacement"] = limits.limits(max_displacement, read, diagonal, held)
     over = None if smooth is None else length("scenario.smooth", smooth, diagonal)
-    raw = wanted
-    if over is not None:
-        found = smoothing.smoothed(wanted, read.vertices, design.elements, design.mass, stays, over, target is None)
-        wanted, notes["smooth"] = found.wanted, smoothing.note(found, read.vertices, design.elements, over)
-        wanted = wanted if flat is None else flat.averaged(flat.plane.flat(wanted))
-    if sides is not None:
-        notes["largest move"] = signs.way(wanted, read.vertices, sides, objective)
-    vertices, faces, mass = (torch.from_numpy(part) for part in (read.vertices, design.triangles, design.mass))
-    gradient, norm = unit_gradient(torch.from_numpy(wanted), mass)
-    gradient_raw = None if over is None else torch.from_numpy(raw) / norm
-    norm = times_power_of_two(norm, exponent)
+    ready = Readiness(design, flat, stays, over, sides)
+    wanted = [ready.of(wish) for wish in wishes]
+    for one, name in zip(wanted, names, strict=True):
+        notes |= titled(one.notes, name)
+    objectives = asked.objectives(read, [one.norm for one in wanted])
+    if objectives is not None:
+        notes["objectives"] = objectives.note
     if mirror is not None:
-        of_symmetry = mirror, read.vertices, design.surface, gradient.numpy(), design.mass
-        more, doubts = symmetry_plane.notes_and_warnings(*of_symmetry)
+        surface, fields = (read.vertices, design.surface), [one.gradient.numpy() for one in wanted]
+        named = dict(zip(names, fields, strict=True))
+        more, doubts = symmetry_plane.notes_and_warnings(mirror, *surface, named, design.mass)
         notes, warnings = notes | more, warnings + doubts
+    whole = wanted[0] if objectives is None else stacked(objectives, wanted)
+    vertices, faces, mass = (torch.from_numpy(part) for part in (read.vertices, design.triangles, design.mass))
     return Scenario(
         name="mesh",
         vertices=vertices,
         faces=faces,
-        gradient=gradient,
+        gradient=whole.gradient,
         weights=mass,
         lower=lower,
         upper=upper,
         support=_support(support, lower, upper, flat),
-        sample=design.sampler(still.region),
-        gradient_norm=norm,
+        sample=design.sampler(still.region) if packed is None else packed.sampler(design.sampler),
+        gradient_norm=whole.norm,
         notes=notes,
         warnings=warnings,
         closest=None if pairing is None else lambda points: pairing.query(points)[0],
         stays=torch.from_numpy(stays),
         direction_only=pairing is None,
         mirror=mirror,
-        keep_out=still.region,
+        keep_out=region,
         search_vertices=search_vertices,
         up=up,
         rows=torch.from_numpy(read.rows),
         hold=still.hold,
         blend=None if still.blend is None else torch.from_numpy(still.blend),
-        objective=None if target is not None else objective,
+        objective=wishes[0].direction if objectives is None else None,
         smooth=over,
-        gradient_raw=gradient_raw,
+        gradient_raw=whole.raw,
         planar=None if flat is None else flat.plane,
+        max_displacement=None if most is None else torch.from_numpy(most),
+        objectives=objectives,
     )
 
 

@@ -17,6 +17,7 @@ from rbfevo.geometry.holding import Hold
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.geometry.parameterization import Parameterization, Region
 from rbfevo.geometry.planar import Plane
+from rbfevo.scenarios.objectives import Objectives
 
 Sampler = Callable[[int, int, torch.Generator], Tensor]
 Closest = Callable[[NDArray[np.float64]], NDArray[np.float64]]
@@ -30,7 +31,8 @@ class Scenario:
         name: as on the command line (`plane`, `face`).
         vertices: [n, d], d = 2 or 3, in model units.
         faces: [f, 3] int64 triangles into `vertices`.
-        gradient: [n, k] estimated fitness gradient g, of unit (weighted) Frobenius norm.
+        gradient: [n, k] estimated fitness gradient g, of unit (weighted) Frobenius norm; of several objectives those of
+            all, stacked to [n, J k].
         weights: [n] positive; row i of Phi and g counts with sqrt(weights[i]); ones if uniform.
         lower, upper: [d] corners of the box, model units.
         support: default support radius of compact kernels, model units.
@@ -57,6 +59,10 @@ class Scenario:
             gradient_norm; None where it was not smoothed, and on coarse designs.
         planar: the mid-plane of a planar design, which is a slab one cell thick or a curve, or None. Centers sit in it,
             and g has no component along its axis.
+        max_displacement: [n] how far each vertex may move at most, model units, positive; None without bounds.
+        pinned: whether searches put the last center on the plane of symmetry; None: where their number is odd.
+        objectives: of several sensitivities, whose fields `gradient` and `gradient_raw` stack; None of one, and of
+            targets: `objective` and `gradient_norm` are then its own.
     """
 
     name: str
@@ -85,6 +91,9 @@ class Scenario:
     smooth: float | None = None
     gradient_raw: Tensor | None = None
     planar: Plane | None = None
+    pinned: bool | None = None
+    max_displacement: Tensor | None = None
+    objectives: Objectives | None = None
 
     def __post_init__(self) -> None:
         n, d = self.vertices.shape
@@ -95,12 +104,26 @@ class Scenario:
             or self.upper.shape != (d,)
             or (self.stays is not None and self.stays.shape != (n,))
             or (self.blend is not None and self.blend.shape != (n,))
+            or (self.max_displacement is not None and self.max_displacement.shape != (n,))
             or (self.gradient_raw is not None and self.gradient_raw.shape != self.gradient.shape)
+            or (self.objectives is not None and self.gradient.shape[1] % len(self.objectives))
         ):
             raise UserError(f"scenario {self.name}: vertices, gradient, weights and box have shapes that do not match")
         for name in ("vertices", "gradient", "weights", "lower", "upper"):
             if not bool(torch.isfinite(getattr(self, name)).all()):
                 raise UserError(f"scenario {self.name}: {name} has values that are not finite")
+
+    @property
+    def fields(self) -> Tensor:
+        """The wanted displacement [J, n, k] of each objective, of unit norm (but for that of coarse designs)."""
+        return self.gradient[None] if self.objectives is None else self.objectives.fields(self.gradient)
+
+    def each(self) -> list[Scenario]:
+        """The same design once for each objective, with its wanted displacement alone."""
+        if self.objectives is None:
+            return [self]
+        parts = {"objectives": None, "gradient_raw": None}
+        return [dataclasses.replace(self, gradient=field, **parts) for field in self.fields]
 
     @property
     def diagonal(self) -> float:
@@ -129,7 +152,7 @@ class Scenario:
     @property
     def parameterization(self) -> Parameterization:
         """The map from points in the box to setups."""
-        return Parameterization(self.mirror, self.side, self.keep_out, self.planar)
+        return Parameterization(self.mirror, self.side, self.keep_out, self.planar, self.pinned)
 
     def half(self, open_only: bool = False) -> Scenario:
         """The design on the centers' side of the mirror, plane included; the whole one where there is no mirror.
@@ -145,8 +168,7 @@ class Scenario:
             kept = height >= -self.mirror.tolerance
         if open_only and self.keep_out is not None:
             kept &= ~self.keep_out.contains(self.vertices)
-        names = ("vertices", "gradient", "weights", *([] if self.blend is None else ["blend"]))
-        parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
+        parts = self._rows(kept)
         if not bool((parts["gradient"] != 0).any()):
             return self
         return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None, gradient_raw=None)
@@ -160,14 +182,19 @@ class Scenario:
         if self.planar is None or self.planar.depth == 0.0:
             return self
         kept = self.vertices[:, self.planar.axis] > self.planar.at
-        names = ("vertices", "gradient", "weights", *([] if self.blend is None else ["blend"]))
-        parts: dict[str, Any] = {name: getattr(self, name)[kept] for name in names}
+        parts = self._rows(kept)
         parts["weights"] = 2.0 * parts["weights"]
         return dataclasses.replace(self, **parts, faces=self.faces[:0], closest=None, stays=None, gradient_raw=None)
+
+    def _rows(self, kept: Tensor) -> dict[str, Any]:
+        """What each vertex has, of those that are `kept` [n]."""
+        names = ("vertices", "gradient", "weights", "blend", "max_displacement")
+        return {name: getattr(self, name)[kept] for name in names if getattr(self, name) is not None}
 
     def to(self, device: torch.device) -> Scenario:
         """The same scenario with its tensors on `device`."""
         names = ("vertices", "faces", "gradient", "weights", "lower", "upper", "stays", "blend", "gradient_raw")
+        names = (*names, "max_displacement")
         values = {name: getattr(self, name) for name in names}
         moved: dict[str, Any] = {name: value.to(device) for name, value in values.items() if value is not None}
         return dataclasses.replace(self, **moved)

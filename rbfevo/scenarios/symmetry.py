@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
@@ -148,13 +150,16 @@ def notes_and_warnings(
     mirror: Mirror,
     vertices: Points,
     surface: tuple[Points, Triangles],
-    gradient: NDArray[np.float64],
+    gradients: Mapping[str, NDArray[np.float64]],
     weights: NDArray[np.float64],
 ) -> tuple[dict[str, str], list[str]]:
-    """Notes and warnings: how far mirror images lie from the surface, and how much of g [n, 3] is not symmetric.
+    """Notes and warnings: how far mirror images lie from the surface, and how much of g is not symmetric.
+
+    Args:
+        gradients: g [n, 3] of each objective by its name, which is empty where there is only one.
 
     Raises:
-        UserError: if g is antisymmetric.
+        UserError: if a g is antisymmetric.
     """
     name = f"{'xyz'[mirror.axis]} = {mirror.at:g}"
     heights = vertices[:, mirror.axis] - mirror.at
@@ -163,18 +168,22 @@ def notes_and_warnings(
         return {"symmetry": f"symmetry about {name}; the template is one half, and the other half is not scored"}, []
     distance, some, images = off_surface(mirror, vertices, surface)
     _, partner = KDTree(vertices).query(images)
-    turned = gradient[partner].copy()
-    turned[:, mirror.axis] *= -1.0
-    odd = (weights[some, None] * ((gradient[some] - turned) / 2.0) ** 2).sum()
-    share = float(odd / max((weights[some, None] * gradient[some] ** 2).sum(), np.finfo(float).tiny))
-    if share > HOPELESS:
-        raise UserError(
-            f"symmetry about {name}: the wanted displacement is antisymmetric, so no symmetric setup can follow it; "
-            "check scenario.symmetry and scenario.symmetry_at"
-        )
+    shares = []
+    for objective, gradient in gradients.items():
+        turned = gradient[partner].copy()
+        turned[:, mirror.axis] *= -1.0
+        odd = (weights[some, None] * ((gradient[some] - turned) / 2.0) ** 2).sum()
+        share = float(odd / max((weights[some, None] * gradient[some] ** 2).sum(), np.finfo(float).tiny))
+        if share > HOPELESS:
+            raise UserError(
+                f"symmetry about {name}: the wanted displacement{objective and f' of {objective}'} is antisymmetric, "
+                "so no symmetric setup can follow it; check scenario.symmetry and scenario.symmetry_at"
+            )
+        shares.append(f"{share:.1%} of |g|^2{objective and f' of {objective}'}")
+    are = "is" if len(shares) == 1 else "are"
     notes = {
-        "symmetry": f"symmetry about {name}: mirror images lie within {distance:.3g} of the surface; {share:.1%} of "
-        "|g|^2 is not symmetric, and out of reach"
+        "symmetry": f"symmetry about {name}: mirror images lie within {distance:.3g} of the surface; "
+        f"{', '.join(shares)} {are} not symmetric, and out of reach"
     }
     if distance > LOPSIDED * _diagonal(vertices):
         return notes, [

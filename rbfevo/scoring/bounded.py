@@ -19,6 +19,7 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
+from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.evolvability import cutoff
 from rbfevo.scoring.kernels import Kernel
 from rbfevo.scoring.maxnorm import Block, best_displacement, power
@@ -71,6 +72,7 @@ class BoundedPotential:
         p: at least 2.
         blend: [n] what rows of U are multiplied by, or None for ones.
         mirror: the plane of symmetry, or None.
+        most: [n] positive, how far each vertex may move at most: lengths |d_i| then count in these; None if alike.
 
     Attributes:
         evaluations, passes: setups so far, and their passes over the vertices.
@@ -88,6 +90,7 @@ class BoundedPotential:
         weights: Tensor | None = None,
         blend: Tensor | None = None,
         mirror: Mirror | None = None,
+        most: Tensor | None = None,
     ) -> None:
         if not 2.0 <= p < float("inf"):
             raise UserError(f"criterion.norm={p:g}: give a number of at least 2")
@@ -95,6 +98,10 @@ class BoundedPotential:
         self.vertices, self.gradient = vertices.cpu(), gradient.cpu()
         self.representation = RBF(representation) if isinstance(representation, Kernel) else representation
         self.blend = None if blend is None else blend.cpu()
+        if most is not None:  # e_i = d_i / b_i: the columns over b, what a displacement gains times b
+            share = (most / most.max()).cpu()
+            self.gradient = share[:, None] * self.gradient
+            self.blend = (1.0 if self.blend is None else self.blend) / share
         positive = torch.ones_like(self.vertices[:, 0]) if weights is None else weights.cpu()
         with coarse():
             self.u = positive / positive.sum()
@@ -291,6 +298,14 @@ class BoundedPotential:
     def _steps(self) -> list[slice]:
         """Slices of the vertices."""
         return [slice(begin, begin + ROWS) for begin in range(0, len(self.u), ROWS)]
+
+
+def bounded_of(
+    scenario: Scenario, representation: Representation | Kernel, p: float, mirror: Mirror | None = None
+) -> BoundedPotential:
+    """P_p of a scenario of one objective; mirror: its plane of symmetry, or None to leave it out."""
+    design = scenario.vertices, scenario.gradient, representation, p
+    return BoundedPotential(*design, scenario.weights, scenario.blend, mirror, scenario.max_displacement)
 
 
 def _taken(weights: Tensor, rows: Tensor | None) -> Tensor:

@@ -14,8 +14,9 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
+from rbfevo.scoring.combination import ONE, Combination
 from rbfevo.scoring.deformation import deformation_of
-from rbfevo.scoring.evolvability import EPS, Scores, cutoff, score
+from rbfevo.scoring.evolvability import EPS, Scores, cutoff, score_each
 from rbfevo.scoring.gradients import Spectrum
 from rbfevo.scoring.gram import GramAccumulator
 from rbfevo.scoring.kernels import Kernel
@@ -33,13 +34,13 @@ class Factors(NamedTuple):
     Attributes:
         T: [p, m, m] lower triangular, T T^T = G; columns that no vertex feels have a diagonal of their own.
         y: [p, m, k] T^-1 b; means nothing where `deficient`.
-        potential: [p] P, maximized; rank: [p].
+        potentials: [p, J] P of each objective, maximized; rank: [p].
         usable: [p] finite setups with a finite G; deficient: [p] numerically rank-deficient ones.
     """
 
     T: Tensor
     y: Tensor
-    potential: Tensor
+    potentials: Tensor
     rank: Tensor
     usable: Tensor
     deficient: Tensor
@@ -50,13 +51,13 @@ class Singular(NamedTuple):
 
     Attributes:
         largest, smallest: [p] singular values; lost: [p] where R is 0, since the rank is below m or Psi singular.
-        potential: [p] P, maximized; rank: [p]; usable: [p].
+        potentials: [p, J] P of each objective, maximized; rank: [p]; usable: [p].
     """
 
     largest: Tensor
     smallest: Tensor
     lost: Tensor
-    potential: Tensor
+    potentials: Tensor
     rank: Tensor
     usable: Tensor
 
@@ -76,6 +77,7 @@ class Evaluator:
         backend: `auto`, `fused` or `eager`, see `GramAccumulator`.
         block: vertices a block, or None.
         blend: [n] what rows of U are multiplied by: 0 where a vertex is held; None for ones.
+        combination: of several objectives, whose gradients `gradient` stacks.
 
     Attributes:
         evaluations: setups scored so far; failed_evaluations: those with non-finite centers or scores.
@@ -93,7 +95,9 @@ class Evaluator:
         backend: str = "auto",
         block: int | None = None,
         blend: Tensor | None = None,
+        combination: Combination = ONE,
     ) -> None:
+        self.combination = combination
         self.deformation = deformation_of(vertices, kernel, manipulation, blend)
         self.representation = self.deformation.representation
         self.gradient = gradient
@@ -108,12 +112,15 @@ class Evaluator:
 
     def definition(self, centers: Tensor) -> Scores:
         """Scores [*pop] of centers [*pop, m, d] by the definition; the reference, slower by a factor of 50."""
-        device = self.deformation.vertices.device
-        scores = score(self.deformation, centers.to(device), self.gradient, self.weights)
-        return Scores(*(column.to(centers.device) for column in scores))
+        return self.definition_of_each(centers)[0]
 
-    @torch.no_grad()
-    @coarse()
+    def definition_of_each(self, centers: Tensor) -> tuple[Scores, Tensor]:
+        """`definition`, and P [*pop, J] of each objective."""
+        device = self.deformation.vertices.device
+        given = centers.to(device), self.gradient, self.weights, self.combination
+        scores, potentials = score_each(self.deformation, *given)
+        return Scores(*(column.to(centers.device) for column in scores)), potentials.to(centers.device)
+
     def __call__(self, centers: Tensor) -> Scores:
         """Scores [*pop] of centers [*pop, m, d]; regularity, improvement potential and variability are maximized.
 
@@ -122,6 +129,12 @@ class Evaluator:
         Raises:
             UserError: if the shape does not fit the design.
         """
+        return self.of_each(centers)[0]
+
+    @torch.no_grad()
+    @coarse()
+    def of_each(self, centers: Tensor) -> tuple[Scores, Tensor]:
+        """Scores [*pop] of centers [*pop, m, d], as a call returns them, and P [*pop, J] of each objective."""
         (n, d), dims = self.deformation.vertices.shape, self.representation.dims
         self.representation.refuse(centers, d)
         m = self.representation.columns(centers)
@@ -130,15 +143,17 @@ class Evaluator:
         setups = centers.reshape(-1, *centers.shape[-dims:]).to(self.deformation.vertices.dtype)
         finite = torch.isfinite(setups).flatten(1).all(1)
         setups = zeroed(setups, finite)
-        regularity, potential, rank = self._score(setups, finite)
-        failed = ~(finite & torch.isfinite(regularity) & torch.isfinite(potential))
+        regularity, potentials, rank = self._score(setups, finite)
+        failed = ~(finite & torch.isfinite(regularity) & torch.isfinite(potentials).all(1))
         zero = torch.zeros_like(regularity)
         self.evaluations += len(setups)
         self.failed_evaluations += int(failed.sum())
         variability = rank.to(regularity.dtype) / n
-        found = (torch.where(failed, zero, c) for c in (regularity, potential.clamp(0.0, 1.0), variability))
+        potentials = torch.where(failed[:, None], 0.0, potentials.clamp(0.0, 1.0))
+        found = (torch.where(failed, zero, c) for c in (regularity, self.combination(potentials), variability))
         regularity, potential, variability = (c.reshape(centers.shape[:-dims]) for c in found)
-        return Scores(regularity, potential, variability, failed.reshape(centers.shape[:-dims]))
+        scores = Scores(regularity, potential, variability, failed.reshape(centers.shape[:-dims]))
+        return scores, potentials.reshape(*centers.shape[:-dims], self.combination.count)
 
     def spectrum(self, centers: Tensor) -> Spectrum:
         """Singular values of U and P of centers [p, m, d], ready for gradients."""
@@ -154,7 +169,7 @@ class Evaluator:
         G, empty = decoupled(G)
         L, sound = cholesky(G)
         y = solve_lower(L, b)
-        potential = y.square().sum((1, 2))
+        potentials = self.combination.norms(y)
         rank = m - empty.sum(1)
         deficient = torch.zeros_like(usable)
         index = torch.nonzero(usable & ~(sound & (least_regularity(L) >= TRIGGER))).flatten()
@@ -163,28 +178,27 @@ class Evaluator:
             index = index[~(sound[index] & (sigma[:, -1] >= TRIGGER * sigma[:, 0]))]
         if len(index):
             self.further_passes += len(index)
-            L[index], y[index], potential[index], rank[index], deficient[index] = self._refine(
+            L[index], y[index], potentials[index], rank[index], deficient[index] = self._refine(
                 setups[index], G[index], L[index], sound[index], empty[index]
             )
-        return Factors(L, y, potential, rank, usable, deficient)
+        return Factors(L, y, potentials, rank, usable, deficient)
 
     def _score(self, setups: Tensor, finite: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """R, P and rank [p] of setups [p, m, d]; NaN where a setup is not usable."""
-        largest, smallest, lost, potential, rank, usable = self.singular(setups, finite)
-        regularity = torch.where(lost, 0.0, smallest / largest)
-        regularity, potential = (torch.where(usable, c, torch.nan) for c in (regularity, potential))
+        """R [p], P [p, J] and rank [p] of setups [p, m, d]; NaN where a setup is not usable."""
+        largest, smallest, lost, potentials, rank, usable = self.singular(setups, finite)
+        regularity = torch.where(usable, torch.where(lost, 0.0, smallest / largest), torch.nan)
+        potentials = torch.where(usable[:, None], potentials, torch.nan)
         index = torch.nonzero(finite & ~usable).flatten()
         if len(index):  # G can overflow where Phi does not
-            exact = self.definition(setups[index])
-            regularity[index], potential[index] = (
-                torch.where(exact.failed, torch.nan, c) for c in (exact.regularity, exact.improvement_potential)
-            )
+            exact, each = self.definition_of_each(setups[index])
+            regularity[index] = torch.where(exact.failed, torch.nan, exact.regularity)
+            potentials[index] = torch.where(exact.failed[:, None], torch.nan, each)
             rank[index] = (exact.variability * self.deformation.vertices.shape[0]).round().to(rank.dtype)
-        return regularity, potential, rank
+        return regularity, potentials, rank
 
     def singular(self, setups: Tensor, finite: Tensor) -> Singular:
         """Extreme singular values of U, P and rank of finite setups [p, m, d]."""
-        L, y, potential, rank, usable, deficient = self.factors(setups, finite)
+        L, y, potentials, rank, usable, deficient = self.factors(setups, finite)
         lost = rank < L.shape[1]
         if self.deformation.manipulation != "indirect":
             L, _, undetermined = self.representation.reduce(setups, L, self.deformation.manipulation)
@@ -192,7 +206,7 @@ class Evaluator:
             if L.shape[1] != L.shape[2]:  # fewer parameters than columns: they reach less
                 return self._narrow(L, y, undetermined, usable & ~deficient)  # the definition scores those
         sigma = singular_values(L)
-        return Singular(sigma[:, 0], sigma[:, -1], lost, potential, rank, usable)
+        return Singular(sigma[:, 0], sigma[:, -1], lost, potentials, rank, usable)
 
     def _narrow(self, factor: Tensor, y: Tensor, lost: Tensor, usable: Tensor) -> Singular:
         """Singular values, P and rank of U = Q T^T W from `factor` [p, m, r], m < r, and y = Q^T g."""
@@ -200,10 +214,10 @@ class Evaluator:
         for one, coordinates in zip(factor, y, strict=True):  # one at a time: in a batch LAPACK may round otherwise
             left, sigma, _ = torch.linalg.svd(one.mT, full_matrices=False)
             kept = sigma > cutoff(len(self.deformation.vertices), len(one)) * sigma[:1]
-            reached = torch.where(kept[:, None], left.mT @ coordinates, 0.0).square().sum()
+            reached = self.combination.norms(torch.where(kept[:, None], left.mT @ coordinates, 0.0))
             parts.append((sigma[0], sigma[-1], ~kept.all(), reached, kept.sum()))
-        largest, smallest, short, potential, rank = (torch.stack(column) for column in zip(*parts, strict=True))
-        return Singular(largest, smallest, lost | short, potential, rank, usable)
+        largest, smallest, short, potentials, rank = (torch.stack(column) for column in zip(*parts, strict=True))
+        return Singular(largest, smallest, lost | short, potentials, rank, usable)
 
     def _refine(
         self, setups: Tensor, G: Tensor, L: Tensor, sound: Tensor, empty: Tensor
@@ -230,7 +244,7 @@ class Evaluator:
             pending = pending[sound & ~done]
             if not len(pending):
                 break
-        potential = y.square().sum((1, 2))
+        potentials = self.combination.norms(y)
         sigma = singular_values(T)
         deficient = sigma[:, -1] <= cutoff(n, m) * sigma[:, 0]
         deficient[torch.cat([*lost, pending])] = True
@@ -238,25 +252,29 @@ class Evaluator:
         if len(index):
             self.factorizations += len(index)
             found = self._factorize(setups[index].to(self.deformation.vertices.device))
-            T[index], potential[index], rank[index] = (part.to(T.device) for part in found)
-        return T, y, potential, rank, deficient
+            T[index], potentials[index], rank[index] = (part.to(T.device) for part in found)
+        return T, y, potentials, rank, deficient
+
+    def triangle(self, setup: Tensor) -> Tensor:
+        """R [m + k, m + k] of a blocked Householder QR of (Phi g) of one setup, rows times the roots of the weights."""
+        n, m, k = len(self.deformation.vertices), self.representation.columns(setup[None]), self.gradient.shape[1]
+        roots = self.weights.sqrt()[:, None]
+        R = torch.zeros(m + k, m + k, dtype=setup.dtype, device=setup.device)
+        for begin in range(0, n, QR_ROWS):
+            rows = slice(begin, begin + QR_ROWS)
+            Phi = self.deformation.phi(setup, rows)
+            block = roots[rows] * torch.cat((Phi, self.gradient[rows]), dim=1)
+            R = torch.linalg.qr(torch.cat((R, block)), mode="r")[1]
+        return R
 
     def _factorize(self, setups: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Triangular factor, P and rank by blocked Householder QR of (Phi g), as good as an SVD of Phi."""
-        vertices = self.deformation.vertices
-        n, p, m, k = len(vertices), len(setups), self.representation.columns(setups), self.gradient.shape[1]
-        roots = self.weights.sqrt()[:, None]
-        R = torch.zeros(p, m + k, m + k, dtype=setups.dtype, device=setups.device)
-        for e in range(p):  # one at a time: a batch of QR runs no faster and needs p times the memory
-            for begin in range(0, n, QR_ROWS):
-                rows = slice(begin, begin + QR_ROWS)
-                Phi = self.deformation.phi(setups[e], rows)
-                block = roots[rows] * torch.cat((Phi, self.gradient[rows]), dim=1)
-                R[e] = torch.linalg.qr(torch.cat((R[e], block)), mode="r")[1]
+        n, m = len(self.deformation.vertices), self.representation.columns(setups)
+        R = torch.stack([self.triangle(setup) for setup in setups])  # a batch of QR runs no faster
         left, sigma = left_singular(R[:, :m, :m])
         kept = sigma > cutoff(n, m) * sigma[:, :1]
-        potential = torch.where(kept[:, :, None], product(left.mT, R[:, :m, m:]), 0.0).square().sum((1, 2))
-        return R[:, :m, :m].mT, potential, kept.sum(1)
+        potentials = self.combination.norms(torch.where(kept[:, :, None], product(left.mT, R[:, :m, m:]), 0.0))
+        return R[:, :m, :m].mT, potentials, kept.sum(1)
 
 
 def zeroed(setups: Tensor, kept: Tensor) -> Tensor:

@@ -28,6 +28,7 @@ class Spectrum:
     Attributes:
         sigma: [p, m], falling; ones where a setup has no regularity (rank below m, singular Psi, not finite).
         regular: [p] whether it has one; potential: [p] P, maximized, 0 where a setup is not finite.
+        potentials: [p, J] P of each objective, of which `potential` is the mean or the least; the same of one.
         improvable: [p] whether P has a gradient (the setup is finite and not numerically rank-deficient).
         near: what a spectrum of similar setups can start from, or None.
     """
@@ -41,13 +42,14 @@ class Spectrum:
         finite = torch.isfinite(centers).flatten(1).all(1)
         self.evaluator = evaluator
         self.centers = torch.where(finite.view(-1, *(1,) * (centers.ndim - 1)), centers.detach(), 0.0)
-        T, self._y, potential, rank, usable, deficient = evaluator.factors(self.centers, finite)
+        T, self._y, potentials, rank, usable, deficient = evaluator.factors(self.centers, finite)
         m = T.shape[1]
         evaluator.evaluations += len(centers)
         evaluator.failed_evaluations += int((~usable).sum())
         self._T, self._inverse = T, None
         self.improvable = usable & ~deficient
-        self.potential = torch.where(usable, potential.clamp(0.0, 1.0), 0.0)
+        self.potentials = torch.where(usable[:, None], potentials.clamp(0.0, 1.0), 0.0)
+        self.potential = evaluator.combination(self.potentials)
         self.regular = self.improvable & (rank == m)
         if evaluator.deformation.manipulation != "indirect":
             T, self._inverse, lost = evaluator.representation.reduce(
@@ -71,18 +73,19 @@ class Spectrum:
     def backward(self, dlog_sigma: Tensor, dpotential: Tensor) -> Tensor:
         """Gradient [p, m, d] in the centers of a function with gradients [p, m] in log sigma and [p] in P.
 
-        Finite for every setup; 0 where the setup has no regularity or is not improvable.
+        Of several objectives the latter may be those [p, J] in P of each. Finite for every setup; 0 where the setup has
+        no regularity or is not improvable.
         """
         m, k = self._y.shape[1:]
         self.evaluator.gradients += len(self.centers)
         dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
-        dpotential = torch.where(self.improvable, dpotential, 0.0)[:, None, None]
         w = solve_lower(self._T, self._y, transposed=True)
         Z = self._V if self._inverse is None else product(self._inverse, self._V)
         dM = torch.zeros(len(Z), m + k, m + k, dtype=Z.dtype, device=Z.device)
         scaled = 0.5 * Z * (dlog_sigma / self.sigma.square())[:, None, :]
-        dM[:, :m, :m] = product(scaled, Z.mT) - dpotential * gram(w)
-        dM[:, :m, m:] = 2.0 * dpotential * w
+        squares, moments = self._through_potentials(dpotential, w)
+        dM[:, :m, :m] = product(scaled, Z.mT) - squares
+        dM[:, :m, m:] = moments
         gradient = self.evaluator.gram.backward(self.centers, dM)
         if self._inverse is not None:
             representation = self.evaluator.representation
@@ -92,6 +95,18 @@ class Spectrum:
             gradient += found
         sound = torch.isfinite(gradient).flatten(1).all(1)
         return torch.where(sound.view(-1, *(1,) * (gradient.ndim - 1)), gradient, 0.0)
+
+    def _through_potentials(self, dpotential: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
+        """What gradients [p] in P, or [p, J] in P of each objective, add to those in G (taken off there) and in b."""
+        combination = self.evaluator.combination
+        if combination.count == 1:
+            share = torch.where(self.improvable, dpotential.reshape(-1), 0.0)[:, None, None]
+            return share * gram(w), 2.0 * share * w
+        if dpotential.ndim == 1:
+            dpotential = dpotential[:, None] * combination.slopes(self.potentials)
+        slopes = torch.where(self.improvable[:, None], dpotential, 0.0)
+        weighted = combination.spread(slopes, w.shape[2])[:, None, :] * w
+        return product(weighted, w.mT), 2.0 * weighted
 
 
 class _Scores(torch.autograd.Function):

@@ -40,6 +40,7 @@ FLAT = 0.05  # of the slope at the start of a line: where the search along it en
 SOFT = 0.1  # of the logarithm of the ratio: a slope that could change it by much less at t is flat, too
 ROUNDING = 1e-13  # of the logarithm of the ratio
 TRIALS = 60  # of a search along a line
+DEPENDENT = 1e-10  # singular values of rows of unit length that count as zero
 LARGEST_WHOLE = 64  # exponent for which multiplications are no worse than x^exponent
 
 
@@ -63,7 +64,12 @@ class Gain(NamedTuple):
 
 
 def best_displacement(
-    blocks: Sequence[Block], a: Array, weights: Array, p: float = 16.0, start: Array | None = None
+    blocks: Sequence[Block],
+    a: Array,
+    weights: Array,
+    p: float = 16.0,
+    start: Array | None = None,
+    without: Sequence[Array] = (),
 ) -> Gain:
     """The displacement in the span of some blocks that maximizes a.d for |d|_p = 1.
 
@@ -72,13 +78,14 @@ def best_displacement(
         a: [n, k] what a displacement of each vertex gains; weights: [n] positive, u up to a factor; p: at least 2.
         start: [n, k] a displacement near the best one, such as that of a similar setup; taken where it gains more than
             the best one for p = 2.
+        without: [n, k] each, fields by which the displacement is to gain nothing.
 
     Returns:
         A gain of 0 and no displacement where nothing in the span gains anything.
     """
     u, size = weights / weights.sum(), float(np.abs(a).max(initial=0.0)) or 1.0
     a = a / size
-    space = _Span(blocks, a.shape)
+    space = _Span(blocks, a.shape, without)
     linear = space.pulled(a)
     if not linear.any():
         return Gain(np.zeros(a.shape), space.coordinates(np.zeros_like(linear)), 0.0)
@@ -239,15 +246,22 @@ def _solve(H: Array, b: Array) -> Array:
 
 
 class _Span:
-    """The displacements [n, k] that some blocks span; coordinates of all blocks lie one behind the other."""
+    """The displacements [n, k] that some blocks span, or those of them that gain nothing by some fields.
 
-    def __init__(self, blocks: Sequence[Block], shape: tuple[int, ...]) -> None:
+    Coordinates of all blocks lie one behind the other; of the latter they are those in a basis of their own.
+    """
+
+    def __init__(self, blocks: Sequence[Block], shape: tuple[int, ...], without: Sequence[Array] = ()) -> None:
         self.blocks, self.shape = blocks, shape
         ends = np.cumsum([0, *(block.basis.shape[1] * len(block.components) for block in blocks)])
         self._slices = [slice(begin, end) for begin, end in itertools.pairwise(ends.tolist())]
+        self._within: Array | None = None
+        if without:
+            self._within = _across(np.stack([self.pulled(field) for field in without]))
 
     def coordinates(self, z: Array) -> list[Array]:
         """The coordinates [r, c] in each block's basis."""
+        z = z if self._within is None else self._within @ z
         shapes = [(block.basis.shape[1], len(block.components)) for block in self.blocks]
         return [z[part].reshape(shape) for part, shape in zip(self._slices, shapes, strict=True)]
 
@@ -260,7 +274,8 @@ class _Span:
 
     def pulled(self, field: Array) -> Array:
         """What each coordinate gains by a field [n, k]."""
-        return np.concatenate([(block.basis.T @ field[:, block.components]).ravel() for block in self.blocks])
+        found = np.concatenate([(block.basis.T @ field[:, block.components]).ravel() for block in self.blocks])
+        return found if self._within is None else self._within.T @ found
 
     def curvature(self, local: Array) -> Array:
         """Sum_i B_i^T local_i B_i for local [n, k, k], in the order of the coordinates."""
@@ -274,4 +289,12 @@ class _Span:
                         part[:, i, :, j] = one.basis.T @ (local[:, c, e, None] * other.basis)
                 row.append(part.reshape(one.basis.shape[1] * len(one.components), -1))
             rows.append(np.hstack(row))
-        return np.vstack(rows)
+        found = np.vstack(rows)
+        return found if self._within is None else self._within.T @ found @ self._within
+
+
+def _across(rows: Array) -> Array:
+    """An orthonormal basis [r, q] of what is orthogonal to rows [s, r]; rows of 0 do not count."""
+    lengths = np.linalg.norm(rows, axis=1, keepdims=True)
+    _, sigma, right = np.linalg.svd(np.divide(rows, lengths, out=np.zeros_like(rows), where=lengths > 0))
+    return right[int((sigma > DEPENDENT).sum()) :].T

@@ -16,6 +16,7 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.combination import ONE, Combination
 from rbfevo.scoring.evaluator import Evaluator, Singular
 from rbfevo.scoring.evolvability import Scores, projection
 from rbfevo.scoring.gradients import Spectrum
@@ -28,7 +29,7 @@ class MirroredEvaluator(Evaluator):
     """`Evaluator` of a design that stays symmetric: m centers on one side stand for themselves and their images.
 
     Args:
-        mirror: the plane; the others are those of `Evaluator`, with g [n, d] in space.
+        mirror: the plane; the others are those of `Evaluator`, with g [n, d] in space, of J objectives [n, J d].
 
     Raises:
         UserError: if g has not one component for every axis, so that it has none across the plane.
@@ -44,22 +45,24 @@ class MirroredEvaluator(Evaluator):
         backend: str = "auto",
         block: int | None = None,
         blend: Tensor | None = None,
+        combination: Combination = ONE,
         *,
         mirror: Mirror,
     ) -> None:
-        if gradient.shape[1] != vertices.shape[1]:
+        d = vertices.shape[1]
+        if gradient.shape[1] != d * combination.count:
             raise UserError("symmetry needs a wanted displacement with three components")
-        self.mirror = mirror
+        self.mirror, self.combination = mirror, combination
         self.gradient = gradient
         self.weights = torch.ones_like(vertices[:, 0]) if weights is None else weights
-        across = [mirror.axis]
-        along = [axis for axis in range(vertices.shape[1]) if axis != mirror.axis]
+        across = [column for column in range(gradient.shape[1]) if column % d == mirror.axis]
+        along = [column for column in range(gradient.shape[1]) if column % d != mirror.axis]
         whole = RBF(kernel) if isinstance(kernel, Kernel) else kernel
         pair = whole.symmetric(mirror)
         if pair is None:
             raise UserError(f"scenario.symmetry: representation={whole.name} has no symmetric setups")
         self.along, self.across = (
-            Evaluator(vertices, gradient[:, axes], part, manipulation, weights, backend, block, blend)
+            Evaluator(vertices, gradient[:, axes], part, manipulation, weights, backend, block, blend, combination)
             for axes, part in zip((along, across), pair, strict=True)
         )
         self.deformation, self.representation = self.along.deformation, self.along.representation
@@ -76,36 +79,38 @@ class MirroredEvaluator(Evaluator):
         """Of both blocks."""
         return self.along.factorizations + self.across.factorizations
 
-    def definition(self, centers: Tensor) -> Scores:
-        """Scores [*pop] of centers [*pop, m, d] by the definition; the reference, one setup at a time."""
+    def definition_of_each(self, centers: Tensor) -> tuple[Scores, Tensor]:
+        """Scores [*pop] of centers [*pop, m, d] by the definition, and P [*pop, J] of each objective; the reference."""
         flat = centers.detach().reshape(-1, *centers.shape[-2:]).to(self.deformation.vertices.device)
-        columns = torch.zeros(4, len(flat), dtype=centers.dtype, device=flat.device)
+        columns = torch.zeros(3 + self.combination.count, len(flat), dtype=centers.dtype, device=flat.device)
 
         def work(begin: int, end: int) -> None:
             for i in range(begin, end):
                 columns[:, i] = self._define(flat[i])
 
         run_in_slices(work, len(flat))
-        regularity, potential, variability, failed = columns.to(centers.device).reshape(4, *centers.shape[:-2])
-        return Scores(regularity, potential, variability, failed > 0)
+        regularity, variability, failed, *each = columns.to(centers.device).reshape(len(columns), *centers.shape[:-2])
+        potentials = torch.stack(each, dim=-1)
+        return Scores(regularity, self.combination(potentials), variability, failed > 0), potentials
 
     def _define(self, setup: Tensor) -> Tensor:
-        failure = setup.new_tensor([0.0, 0.0, 0.0, 1.0])
+        """R, V, whether the setup has failed, and P of each objective."""
+        failure = setup.new_tensor([0.0, 0.0, 1.0, *[0.0] * self.combination.count])
         if not bool(torch.isfinite(setup).all()):
             return failure
         setup = self.mirror.snapped(setup)
         free = setup[~self.mirror.on_plane(setup)]
-        rank, residual, lost, sigmas = 0, 0.0, False, []
+        rank, residuals, lost, sigmas = 0, setup.new_zeros(self.combination.count), False, []
         for part, centers in ((self.along, setup), (self.across, free)):
             roots = self.weights.sqrt()[:, None]
             if not len(centers):
-                residual = residual + (roots * part.gradient).square().sum()
+                residuals = residuals + self.combination.norms(roots * part.gradient)
                 continue
             Phi = part.deformation.phi(centers)
             if not bool(torch.isfinite(Phi).all()):
                 return failure
-            sigma, kept, left = projection(Phi, part.gradient, self.weights)
-            residual, lost = residual + left, lost or not bool(kept.all())
+            sigma, kept, left = projection(Phi, part.gradient, self.weights, self.combination)
+            residuals, lost = residuals + left, lost or not bool(kept.all())
             rank = int(kept.sum()) if part is self.along else rank
             if self.deformation.manipulation != "indirect" and not lost:
                 U = part.representation.matrix(Phi, centers, self.deformation.manipulation)
@@ -114,9 +119,8 @@ class MirroredEvaluator(Evaluator):
             sigmas.append(sigma)
         every = torch.cat(sigmas)
         regularity = 0.0 if lost or not bool(every.amax() > 0) else float(every.amin() / every.amax())
-        scores = setup.new_tensor(
-            [regularity, min(max(1.0 - float(residual), 0.0), 1.0), rank / len(self.weights), 0.0]
-        )
+        each = [min(max(1.0 - residual, 0.0), 1.0) for residual in residuals.tolist()]
+        scores = setup.new_tensor([regularity, rank / len(self.weights), 0.0, *each])
         return scores if bool(torch.isfinite(scores).all()) else failure
 
     def spectrum(self, centers: Tensor) -> MirroredSpectrum:
@@ -126,15 +130,15 @@ class MirroredEvaluator(Evaluator):
     def singular(self, setups: Tensor, finite: Tensor) -> Singular:
         """Extreme singular values of both blocks, the sum of their P, and the rank of the block along the plane."""
         setups = self.mirror.snapped(setups)
-        largest, smallest, lost, potential, rank, usable = self.along.singular(setups, finite)
+        largest, smallest, lost, potentials, rank, usable = self.along.singular(setups, finite)
         for rows, centers in self.off_plane(setups):
             part = self.across.singular(centers, finite[rows])
             largest[rows] = torch.maximum(largest[rows], part.largest)
             smallest[rows] = torch.minimum(smallest[rows], part.smallest)
             lost[rows] |= part.lost
-            potential[rows] += torch.where(part.usable, part.potential, 0.0)
+            potentials[rows] += torch.where(part.usable[:, None], part.potentials, 0.0)
             usable[rows] &= part.usable
-        return Singular(largest, smallest, lost, potential, rank, usable)
+        return Singular(largest, smallest, lost, potentials, rank, usable)
 
     def off_plane(self, setups: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
         """The setups [p, m, d] that have centers off the plane, in groups of equally many: rows [q], centers [q, f, d].
@@ -167,7 +171,7 @@ class MirroredSpectrum(Spectrum):
         self._along = along = Spectrum(evaluator.along, torch.where(finite[:, None, None], snapped, torch.nan))
         self._groups: list[tuple[Tensor, Spectrum]] = []
         self.regular, self.improvable = along.regular.clone(), along.improvable.clone()
-        self.potential = along.potential.clone()
+        self.potentials = along.potentials.clone()
         across = torch.zeros_like(along.sigma)
         for rows, free in evaluator.off_plane(snapped):
             part = Spectrum(evaluator.across, torch.where(finite[rows, None, None], free, torch.nan))
@@ -175,8 +179,9 @@ class MirroredSpectrum(Spectrum):
             across[rows, : free.shape[1]] = part.sigma
             self.regular[rows] &= part.regular
             self.improvable[rows] &= part.improvable
-            self.potential[rows] += part.potential
-        self.potential.clamp_(0.0, 1.0)
+            self.potentials[rows] += part.potentials
+        self.potentials.clamp_(0.0, 1.0)
+        self.potential = evaluator.combination(self.potentials)
         lowest = torch.where(across > 0, across, torch.inf).amin(1).minimum(along.sigma.amin(1))
         middle = (lowest * across.amax(1).maximum(along.sigma.amax(1))).sqrt()
         filled = torch.where(across > 0, across, middle[:, None])
@@ -192,11 +197,13 @@ class MirroredSpectrum(Spectrum):
     @torch.no_grad()
     @coarse()
     def backward(self, dlog_sigma: Tensor, dpotential: Tensor) -> Tensor:
-        """Gradient [p, m, d] in the centers of a function with gradients [p, 2m] in log sigma and [p] in P."""
+        """Gradient [p, m, d] in the centers of a function with gradients [p, 2m] in log sigma, and in P as there."""
         m = self.centers.shape[1]
         self.evaluator.gradients += len(self.centers)
         dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
-        dpotential = torch.where(self.improvable, dpotential, 0.0)
+        if dpotential.ndim == 1:  # which of the objectives is the active one is decided by both blocks together
+            dpotential = dpotential[:, None] * self.evaluator.combination.slopes(self.potentials)
+        dpotential = torch.where(self.improvable[:, None], dpotential, 0.0)
         gradient = self._along.backward(dlog_sigma[:, :m], dpotential)
         for rows, part in self._groups:
             free = part.centers.shape[1]
@@ -218,6 +225,7 @@ def evaluator_of(
     if scenario.planar is not None and not isinstance(kernel, Kernel | RBF):
         raise UserError(f"scenario.planar={scenario.planar.name}: representation={kernel.name} has no planar setups")
     design = (scenario.vertices, scenario.gradient, kernel, manipulation, scenario.weights, backend)
+    more = {"blend": scenario.blend, "combination": Combination.of(scenario.objectives)}
     if scenario.mirror is None:
-        return Evaluator(*design, blend=scenario.blend)
-    return MirroredEvaluator(*design, blend=scenario.blend, mirror=scenario.mirror)
+        return Evaluator(*design, **more)
+    return MirroredEvaluator(*design, **more, mirror=scenario.mirror)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rbfevo.recorded import sweep
+from rbfevo.recorded.record import PLAIN
 from rbfevo.recorded.sweep import Group, Member
 
 
@@ -33,7 +34,7 @@ def comparison(members: Sequence[Member]) -> dict[str, Any]:
 
 def _mesh(members: Sequence[Member], mesh: str) -> str:
     record = next(member.record for member in members if member.settings["mesh"] == mesh)
-    searched = "" if record.bounded_potential is None else f", {record.potential_name}"
+    searched = "" if record.potential_name == PLAIN else f", {record.potential_name}"
     return f"{record.summary.get('scenario', 'unknown')}, {len(record.vertices):,} vertices{searched} ({mesh})"
 
 

@@ -159,8 +159,10 @@ def _run(
     formula = known.kernel.page if known is not None and known.kernel is not None else None
     embedded = None
     if known is not None and formula is None:
-        which_rows, left = _left(record, rows, vertices, EMBEDDED // count)
-        embedded = {"rows": which_rows, "left": left}
+        each = record.each()
+        found = [_left(alone, rows, vertices, EMBEDDED // (count * len(each))) for alone in each]
+        embedded = {"rows": found[0][0], "left": found[0][1] if len(each) == 1 else [left for _, left in found]}
+    several = {} if record.gradients is None else {"objectives": _objectives(record, rows)}
     variability = record.variability if record.variability is not None else np.full(len(which), np.nan)
     return {
         "name": run.name,
@@ -187,9 +189,20 @@ def _run(
         "potential_name": record.potential_name,
         "symbol": record.potential_symbol,
         "bounded": record.bounded_potential is not None,
+        **several,
         "variability": packed(variability[rows], "<f8"),
         "centers": packed(centers, "<f8"),
         "made": made(run),
+    }
+
+
+def _objectives(record: Record, rows: Array) -> dict[str, Any]:
+    """The potential of each of several objectives of the setups in `rows`, and how they are combined."""
+    return {
+        "names": list(record.objectives),
+        "symbol": record.symbol_of_each,
+        "combination": record.combination,
+        "potentials": packed(record.potential_of_each[rows], "<f8"),
     }
 
 
@@ -202,13 +215,20 @@ def _setup(record: Record, rows: Array) -> Setup | None:
 
 
 def _mesh(record: Record, count: int) -> dict[str, Any]:
-    """Vertices, faces and gradient for a page that shows `count` meshes."""
+    """Vertices, faces and gradient for a page that shows `count` meshes; of several objectives the first one's.
+
+    Those of each are then among `objectives`.
+    """
+    whole, (record, *_) = record, record.each()
     surface = surface_of(record, *_vertices(count))
     d, towards, up = record.vertices.shape[1], np.array([1.0, -0.4, 0.9]), np.array([0.0, 0.0, 1.0])
     if d == 3:
-        towards, up = standpoint(record)
-    errors = np.linalg.norm(record.gradient, axis=1)
-    factor, remark = stretch(record, errors)
+        towards, up = standpoint(whole)
+    factor, remark = stretch(record, np.linalg.norm(record.gradient, axis=1))
+    several = {}
+    if whole.gradients is not None:
+        fields = zip(whole.objectives, whole.gradients, strict=True)
+        several["objectives"] = [_field(record, surface.rows, name, gradient) for name, gradient in fields]
     uniform = np.ptp(surface.weights) == 0 and surface.weights[0] == 1
     return {
         "of": len(record.vertices),
@@ -228,6 +248,18 @@ def _mesh(record: Record, count: int) -> dict[str, Any]:
         "up": up.tolist(),
         "extent": np.ptp(record.vertices, axis=0).tolist(),
         "scenario": record.summary.get("scenario"),
+        **several,
+    }
+
+
+def _field(record: Record, vertices: Array, name: str, gradient: Array) -> dict[str, Any]:
+    """The wanted displacement of one of several objectives at the vertices shown, and how it is drawn."""
+    factor, remark = stretch(record, np.linalg.norm(gradient, axis=1))
+    return {
+        "name": name,
+        "gradient": packed(gradient[vertices], "<f8"),
+        "stretch": factor,
+        "remark": remark.strip().strip("()"),
     }
 
 

@@ -12,8 +12,9 @@ from typing import Any
 
 from rbfevo.figures.report.comparison import comparison
 from rbfevo.figures.report.content import Shown, content
+from rbfevo.figures.report.curves import numbers_of_centers
 from rbfevo.recorded.record import Record
-from rbfevo.recorded.sweep import Member
+from rbfevo.recorded.sweep import Curve, Member, NestedSequence
 
 PARTS = Path(__file__).parent / "page"
 
@@ -30,6 +31,8 @@ def page(record: Record, directory: Path) -> str:
     volume, symmetry = record.summary.get("hypervolume"), record.summary.get("symmetry")
     if isinstance(volume, int | float):
         facts.append(f"hypervolume {volume:.4g}")
+    if record.objectives:
+        facts.append(record.combination)
     if record.summary.get("seed") is not None:
         facts.append(f"seed {record.summary['seed']}")
     if isinstance(symmetry, dict):
@@ -40,11 +43,18 @@ def page(record: Record, directory: Path) -> str:
     return assembled({**shown_content, "title": record.title, "subtitle": " · ".join(facts)})
 
 
-def page_of_sweep(members: Sequence[Member], directory: Path, out: Path) -> str:
+def page_of_sweep(
+    members: Sequence[Member],
+    directory: Path,
+    out: Path,
+    curves: Sequence[Curve] = (),
+    sequences: Sequence[NestedSequence] = (),
+) -> str:
     """The page of all runs of a sweep as HTML.
 
     Args:
         members: the runs; directory: where their names begin; out: where the page is to go.
+        curves, sequences: what it shows over the number of centers.
 
     Raises:
         UserError: if no run has a setup with finite centers and scores.
@@ -60,7 +70,8 @@ def page_of_sweep(members: Sequence[Member], directory: Path, out: Path) -> str:
         for member in members
     ]
     meshes = [member.settings["mesh"] for member in members]
-    shown_content = content(shown, meshes) | {"sweep": comparison(members)}
+    numbers = numbers_of_centers(curves, sequences, list(dict.fromkeys(meshes)))
+    shown_content = content(shown, meshes) | {"sweep": comparison(members) | {"numbers": numbers}}
     setups = sum(len(member.record.usable) for member in members)
     facts = [f"{len(members):,} run{'s' * (len(members) != 1)}", f"{setups:,} setups"]
     if shown_content["left_out"]:

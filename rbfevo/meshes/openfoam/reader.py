@@ -172,8 +172,14 @@ def _sensitivities(
                 values[start : start + len(own)] = own
             cell_arrays[name], normal = values, None if width > 1 else normal
             kind, note = _of_faces(entry)
-        meanings[name] = Meaning(kind, normal, note, rank)
+        meanings[name] = Meaning(kind, normal, note, rank, solver_of(name))
     return arrays, cell_arrays, meanings
+
+
+def solver_of(name: str) -> str:
+    """The adjoint solver in the name of a field: `losses` of pointSensVeclossesESI; empty where there is none."""
+    found = re.fullmatch(r"(?:point|face)Sens(?:Vec|Normal)(?!Vec)(.+?)(?:ESI)?", name)
+    return "" if found is None else found[1]
 
 
 def _integrated(values: Array, entry: meaning.Entry | None, mesh: Topology) -> tuple[Array, str | None, str]:

@@ -10,21 +10,28 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.methods.cmaes.algorithm import CMAES
-from rbfevo.methods.method import Method, Problem, Rows, at_least_one, unscored
+from rbfevo.methods.method import Method, Problem, Rows, at_least_one, starts_of, unscored
 from rbfevo.scoring.fronts import preferred
 
 
 class CmaesSearch(Method):
     """One setup per preference by (parents, population)-CMA-ES, all preferences as one batch (paper, eq. 9).
 
-    Every element starts at the member of the initial population that its preference likes best, with step size
-    `sigma` times the sides of the box.
+    Every element starts at the member of the initial population that its preference likes best, or of the setups in
+    the files of `start`, with step size `sigma` times the sides of the box.
     """
 
     name = "cmaes"
     prefers = True
 
-    def __init__(self, parents: int = 25, population: int = 100, generations: int = 300, sigma: float = 0.05) -> None:
+    def __init__(
+        self,
+        parents: int = 25,
+        population: int = 100,
+        generations: int = 300,
+        sigma: float = 0.05,
+        start: Any = None,
+    ) -> None:
         self.steps = at_least_one(f"{self.name}: generations", generations)
         self.initial = self.population = at_least_one(f"{self.name}: population", population)
         self.parents = at_least_one(f"{self.name}: parents", parents)
@@ -33,20 +40,25 @@ class CmaesSearch(Method):
         if parents > population:
             raise UserError(f"cmaes: parents={parents}: give at most population={population}, the number of offspring")
         self.sigma = sigma
+        self.begins = starts_of(start, self.name, population)
         self.default_preferences: tuple[float, ...] = (0.5,)
 
     def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
-        return self.steps * self.population * len(preferences or self.default_preferences)
+        searched = self.steps * self.population * len(preferences or self.default_preferences)
+        return searched + len(self.begins)
 
     def start(self, problem: Problem) -> None:
         self._problem = problem
         preferences = problem.preferences or self.default_preferences
         initial, scores = problem.initial.centers, problem.initial.scores
+        if self.inputs is not None:
+            initial = problem.space.place(self.inputs.to(initial))
+            scores = problem.evaluate(initial)
         self._preferences = torch.tensor(preferences, dtype=initial.dtype, device=initial.device)
         fitness = preferred(self._preferences[:, None], scores.objectives)
         lower, upper = problem.flat_box
         self._algorithm = CMAES(
-            initial[fitness.argmax(1)].flatten(1),
+            problem.flatten(initial)[fitness.argmax(1)],
             self.sigma,
             lower,
             upper,
@@ -54,7 +66,7 @@ class CmaesSearch(Method):
             parents=self.parents,
             offspring=self.population,
         )
-        best, genotypes = fitness.max(1), initial.flatten(1)
+        best, genotypes = fitness.max(1), problem.flatten(initial)
         self._fitness = best.values
         self._best, self._objectives = genotypes[best.indices], scores.objectives[best.indices]
 

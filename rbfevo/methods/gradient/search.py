@@ -10,15 +10,15 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.methods.gradient.lbfgs import LBFGS
 from rbfevo.methods.gradient.teams import RANDOM, FrontTeam, Team, WishTeam
-from rbfevo.methods.gradient.tracing import exponents, soft_regularity
+from rbfevo.methods.gradient.tracing import exponents, soft_potential, soft_regularity
 from rbfevo.methods.lloyd import LloydHeuristic
-from rbfevo.methods.method import Method, Problem, Rows, at_least_one, unscored
+from rbfevo.methods.method import Method, Problem, Rows, at_least_one, starts_of, unscored
 from rbfevo.methods.ols import OlsHeuristic
 
 ROUNDS = 5
 FIRST_ROUND = 0.3  # of the generations: starts climb on their own before the front is looked at
 REFRESH = 10  # generations of the first round after which the smoothing is fitted to what R has become
-SHARPNESS = 16.0  # of the smooth R in the first round; doubled in every later one
+SHARPNESS = 16.0  # of the smooth R and the smooth least P in the first round; doubled in every later one
 SCATTER = 0.05  # of the box: standard deviation of the most scattered copy of a heuristic setup
 
 
@@ -38,6 +38,8 @@ class GradientSearch(Method):
         front: setups of the front that are returned; at least 2.
         coarse: vertices of the coarse design, about; at least 100.
         memory: pairs that the quasi-Newton method keeps of each setup.
+        start: files with setups to start from: they, and scattered copies of them, take the places of every second
+            random setup. They are candidates for the result as they are, too.
     """
 
     name = "gradient"
@@ -52,6 +54,7 @@ class GradientSearch(Method):
         front: int = 100,
         coarse: int = 2000,
         memory: int = 20,
+        start: Any = None,
     ) -> None:
         least = {"population": (population, 16), "front": (front, 2), "coarse": (coarse, 100)}
         for name, (value, smallest) in least.items():
@@ -65,6 +68,7 @@ class GradientSearch(Method):
         self.population = population
         self.initial = max(starts, population)  # of which each has a random setup of its own to start at
         self.front, self.coarse = front, coarse
+        self.begins = starts_of(start, self.name, population // 8)
         first = max(1, round(FIRST_ROUND * self.generations))
         later = (self.generations - first) / (ROUNDS - 1)
         self._ends = sorted({first + round(i * later) for i in range(ROUNDS)})
@@ -75,9 +79,10 @@ class GradientSearch(Method):
 
     def planned_evaluations(self, preferences: tuple[float, ...] | None) -> int:
         if preferences is None:
-            return self._ends[0] * self.starts + (self.steps - self._ends[0]) * self.population
+            climbs = self._ends[0] * self.starts + (self.steps - self._ends[0]) * self.population
+            return climbs + len(self.begins)
         each = WishTeam.share(self.population, len(preferences))
-        return len(preferences) * (self.generations * each + self.polish * (each // 4))
+        return len(preferences) * (self.generations * each + self.polish * (each // 4)) + len(self.begins)
 
     def start(self, problem: Problem) -> None:
         self.check(problem.preferences)
@@ -98,18 +103,26 @@ class GradientSearch(Method):
     def _starts(self) -> Tensor:
         """[size, D] in the unit box: what each element of the team wants, scattered or random."""
         problem = self._problem
-        space, random = problem.space, problem.initial.centers
+        space, random = problem.space, problem.space.points(problem.initial.centers)
         kind, scatter = self._team.origins()
         random = random[torch.arange(len(kind), device=random.device) % len(random)]
         known = self._heuristics(problem)
         if known is None:
             return ((random - space.lower) / self._side).flatten(1).clamp(0.0, 1.0)
+        known = space.points(known)
         where = self._generator.device
         noise = torch.randn(len(kind), *known.shape[1:], generator=self._generator, dtype=known.dtype, device=where)
         each = (-1, *(1,) * (known.ndim - 1))
         base = known[kind.clamp_min(0)] + SCATTER * scatter.view(each) * self._side * noise.to(known.device)
-        setups = space.place(torch.where((kind == RANDOM).view(each), random, base))
-        return ((setups - space.lower) / self._side).flatten(1).clamp(0.0, 1.0)
+        points = torch.where((kind == RANDOM).view(each), random, base)
+        if self.inputs is not None:
+            given = self.inputs.to(points)
+            rows = (kind == RANDOM).nonzero().flatten()[::2]
+            turn = torch.arange(len(rows), device=rows.device)
+            scatter = torch.where(turn < len(given), 0.0, scatter[rows]).view(each)
+            points[rows] = given[turn % len(given)] + SCATTER * scatter * self._side * noise.to(points)[rows]
+        points = space.points(space.place(points))
+        return ((points - space.lower) / self._side).flatten(1).clamp(0.0, 1.0)
 
     @staticmethod
     def _heuristics(problem: Problem) -> Tensor | None:
@@ -126,6 +139,8 @@ class GradientSearch(Method):
             last = self._step == self.generations
             self._climb, self._near = self._team.redeploy(self._climb, last), None
             self._problem = self._fine if last else self._problem
+            if last:
+                self._take_given()
             self._sharpness *= 2.0
             self._renew = True
         if self._renew or (self._step < self._ends[0] and self._step % REFRESH == 0):
@@ -142,15 +157,23 @@ class GradientSearch(Method):
         if self._exponents is None:
             raise UserError("gradient: call start() with a problem first")
         log_regularity, slope = soft_regularity(spectrum, self._exponents)
-        values, in_regularity, in_potential = self._team.aim(log_regularity, spectrum.potential)
-        gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential)
+        potential, shares = soft_potential(spectrum, self._sharpness)
+        values, in_regularity, in_potential = self._team.aim(log_regularity, potential)
+        gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential[:, None] * shares)
         gradient = self._problem.space.pull(placed, gradient)
         self._climb.tell(values, (gradient * self._side).flatten(1))
         self._team.move(self._climb, points, objectives, self._climb.accepted)
         self._step += 1
 
+    def _take_given(self) -> None:
+        """Score the setups of `start`, as they are, among what has been found on all vertices."""
+        if self.inputs is not None:
+            given = self.inputs.to(self._side)
+            points = ((given - self._fine.space.lower) / self._side).flatten(1).clamp(0.0, 1.0)
+            self._team.take(points, self._fine.evaluate(self._fine.space.place(given)).objectives)
+
     def state_dict(self) -> dict[str, Any]:
-        """Elements, team, generator, and how sharp the smooth R is."""
+        """Elements, team, generator, and how sharp the smooth R and P are."""
         return {
             "step": self._step,
             "sharpness": self._sharpness,

@@ -8,11 +8,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from rbfevo.scoring.combination import LEAST_RESIDUAL
 from rbfevo.scoring.gradients import Spectrum
 from rbfevo.scoring.pareto import nondominated, well_spread
 
-LEAST_REGULARITY = 1e-12  # floors of log R and of log (1 - P): no gradient below
-LEAST_RESIDUAL = 1e-9
+LEAST_REGULARITY = 1e-12  # floor of log R, as LEAST_RESIDUAL of log (1 - P): no gradient below
+SHARPEST = 64.0  # exponent of the smooth least P: its residual is then at most 1.1 % too small, of two objectives
 
 
 def climbs(objectives: Tensor) -> Tensor:
@@ -34,6 +35,14 @@ def soft_regularity(spectrum: Spectrum, exponent: Tensor) -> tuple[Tensor, Tenso
     floor = torch.full_like(value, LEAST_REGULARITY).log()
     climbing = spectrum.regular & (value > floor)
     return torch.where(climbing, value, floor), torch.where(climbing[:, None], slope, 0.0)
+
+
+def soft_potential(spectrum: Spectrum, sharpness: float) -> tuple[Tensor, Tensor]:
+    """The potential [p] to climb on, and its gradient [p, J] in those of the objectives: smooth where it is the least.
+
+    Where two objectives are served equally badly, as they are at the maximum, their least potential has a kink.
+    """
+    return spectrum.evaluator.combination.smooth(spectrum.potentials, min(sharpness, SHARPEST))
 
 
 def exponents(regularity: Tensor, sharpness: float) -> Tensor:

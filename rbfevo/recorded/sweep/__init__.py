@@ -1,7 +1,9 @@
-"""The runs of a sweep side by side: finding and reading them, tidy tables, and which setting is best for a mesh."""
+"""The runs of a sweep side by side: finding and reading them, tidy tables, curves, and which setting is best."""
 
 from rbfevo.recorded.sweep.comparison import best, name_of, rivals_of
+from rbfevo.recorded.sweep.curves import Curve, advice, curves, table_of_curves
 from rbfevo.recorded.sweep.members import Member, find, members, mesh_of, natural
+from rbfevo.recorded.sweep.sequences import NestedSequence, labels_of, table_of_sequences
 from rbfevo.recorded.sweep.tables import (
     ALWAYS,
     QUANTITIES,
@@ -22,14 +24,19 @@ from rbfevo.recorded.sweep.tables import (
 __all__ = [
     "ALWAYS",
     "QUANTITIES",
+    "Curve",
     "Group",
     "Line",
     "Member",
+    "NestedSequence",
     "Spread",
+    "advice",
     "best",
+    "curves",
     "find",
     "groups",
     "hypervolume",
+    "labels_of",
     "lines",
     "members",
     "mesh_of",
@@ -38,8 +45,10 @@ __all__ = [
     "nondominated",
     "rivals_of",
     "spread",
+    "table_of_curves",
     "table_of_medians",
     "table_of_runs",
+    "table_of_sequences",
     "varying",
     "warnings",
 ]

@@ -16,7 +16,7 @@ from rbfevo.arrays import Array
 from rbfevo.choices import WITHOUT_EFFECT
 from rbfevo.errors import UserError
 from rbfevo.recorded import hydra_files
-from rbfevo.recorded.record import Record, read
+from rbfevo.recorded.record import PLAIN, Record, read
 
 # How and where a run was carried out: settings on which its results do not depend.
 IRRELEVANT = (*WITHOUT_EFFECT, "checkpoint.every", "evaluator", "experiment", "manipulation.name")
@@ -91,7 +91,7 @@ def members(directory: Path) -> tuple[list[Member], list[str]]:
         except UserError as error:
             unread.append(f"{name}: {error}")
             continue
-        names = ("vertices", "faces", "gradient", "weights")
+        names = ("vertices", "faces", "gradient", "weights", "gradients")
         mesh = meshes.setdefault(settings["mesh"], {key: getattr(record, key) for key in names})
         found.append(Member(name, dataclasses.replace(record, **mesh), settings))
     if not found:
@@ -131,7 +131,7 @@ def typed(value: Any) -> str:
 
 
 def mesh_of(record: Record) -> str:
-    """A fingerprint of vertices, faces, gradient, weights, blend, and of the norm of the potential where that is not 2.
+    """A fingerprint of vertices, faces, gradient, weights, blend, and of the potential that is searched instead of P.
 
     Eight hexadecimal digits, the same on any machine. Runs that searched different potentials do not compare.
 
@@ -144,6 +144,6 @@ def mesh_of(record: Record) -> str:
         step = largest * DIGITS if 0 < largest < math.inf else 1.0
         digest.update((np.round(array / step) + 0.0).astype("<f8").tobytes())  # + 0.0: there is one zero
     digest.update(np.asarray(record.faces).astype("<i8").tobytes())
-    if record.bounded_potential is not None:
+    if record.potential_name != PLAIN:
         digest.update(record.potential_name.encode())
     return digest.hexdigest()

@@ -15,7 +15,7 @@ import numpy as np
 
 from rbfevo.arrays import Array
 from rbfevo.files import csv_text
-from rbfevo.recorded.record import Record, knee
+from rbfevo.recorded.record import OF_EACH, PLAIN, Record, knee
 from rbfevo.recorded.sweep.members import Member
 
 # What a run is about, in this order; `mesh` is the fingerprint of `mesh_of`, `support` the radius in model units.
@@ -26,7 +26,7 @@ SEEN_IN_MESH = tuple(
     f"scenario.{key}"
     for key in (
         *("template", "patches", "target", "sensitivity", "sensitivity_kind", "sensitivity_match", "objective"),
-        *("sensitivity_normal", "target_scale", "reject", "weights", "smooth"),
+        *("sensitivity_normal", "target_scale", "reject", "weights", "smooth", "objective_weights", "combine"),
         *("resolution", "subdivisions", "scan", "up", "front"),
     )
 )
@@ -36,17 +36,17 @@ QUANTITIES = (
     *("evaluations", "seconds"),
 )
 ALL = "all"  # the series of all rows of a run
-PLAIN = "improvement potential"  # what is searched, unless a norm other than 2 is asked for
 
 
 class Line(NamedTuple):
-    """What one series of one run found: the rows of one method of setups.npz, or `all`.
+    """What one series of one run found: `all` rows of setups.npz, or those of one method, or of one label.
 
     Attributes:
         settings: those of `ALWAYS` and those that vary in the sweep, of the whole run.
         setups, nondominated: rows with finite centers and scores, those of them that no row of the run dominates.
         hypervolume, ...: of this series' rows, with the potential that was searched; NaN where there is none.
         evaluations, ...: of the whole run.
+        of_each: of several objectives the best potential of each, and that at the knee, by the names of columns.
     """
 
     run: str
@@ -64,6 +64,7 @@ class Line(NamedTuple):
     failed_evaluations: float
     seconds: float
     stop_reason: str
+    of_each: dict[str, float] = {}  # noqa: RUF012 - nothing changes it
 
 
 class Spread(NamedTuple):
@@ -138,9 +139,9 @@ def _columns(members: Sequence[Member]) -> list[str]:
 
 def _lines(member: Member, keys: Iterable[str]) -> Iterator[Line]:
     record, entry = member.record, member.record.summary.get
-    usable = record.usable
-    for series in (ALL, *dict.fromkeys(record.method.tolist())):
-        rows = usable if series == ALL else usable[record.method[usable] == series]
+    usable, origins = record.usable, np.array([record.origin(row) for row in range(len(record.method))], dtype=np.str_)
+    for series in (ALL, *dict.fromkeys(origins.tolist())):
+        rows = usable if series == ALL else usable[origins[usable] == series]
         R, P = record.regularity[rows], record.potential[rows]
         found = knee(_part(record, rows))
         yield Line(
@@ -159,15 +160,26 @@ def _lines(member: Member, keys: Iterable[str]) -> Iterator[Line]:
             failed_evaluations=_number(entry("failed_evaluations")),
             seconds=_number(entry("seconds")),
             stop_reason=str(entry("stop_reason", "")),
+            of_each=_of_each(record, rows, found),
         )
+
+
+def _of_each(record: Record, rows: Array, knee: int | None) -> dict[str, float]:
+    """The best potential of each of several objectives among rows, and that of the row of the knee among them."""
+    found = {}
+    for name, values in zip(record.objectives, record.potential_of_each[rows].T, strict=True):
+        found[f"best_potential_{name}"] = float(values.max()) if len(rows) else math.nan
+        found[f"knee_potential_{name}"] = math.nan if knee is None else float(values[knee])
+    return found
 
 
 def _part(record: Record, rows: Array) -> Record:
     """The record of some of the rows, with the front among themselves."""
     names = ("centers", "regularity", "improvement_potential", "method", "preference")
     arrays = {name: getattr(record, name)[rows] for name in names}
-    if record.bounded_potential is not None:
-        arrays["bounded_potential"] = record.bounded_potential[rows]
+    for name in ("bounded_potential", *OF_EACH):
+        if (whole := getattr(record, name)) is not None:
+            arrays[name] = whole[rows]
     front = nondominated(arrays["regularity"], record.potential[rows])
     return dataclasses.replace(record, **arrays, nondominated=front)
 
@@ -231,10 +243,15 @@ def spread(values: Iterable[float]) -> Spread:
 
 
 def table_of_runs(lines: Sequence[Line]) -> bytes:
-    """runs.csv: `lines`, with a column for each setting."""
+    """runs.csv: `lines`, with a column for each setting, and for the potentials of each of several objectives."""
     at = Line._fields.index("settings")
-    names = [*Line._fields[:at], *lines[0].settings, *Line._fields[at + 1 :]]
-    return csv_text(names, ((*line[:at], *line.settings.values(), *line[at + 1 :]) for line in lines))
+    each = list(dict.fromkeys(name for line in lines for name in line.of_each))
+    names = [*Line._fields[:at], *lines[0].settings, *Line._fields[at + 1 : -1], *each]
+    own = ([line.of_each.get(name, math.nan) for name in each] for line in lines)
+    rows = (
+        (*line[:at], *line.settings.values(), *line[at + 1 : -1], *more) for line, more in zip(lines, own, strict=True)
+    )
+    return csv_text(names, rows)
 
 
 def table_of_medians(groups: Sequence[Group]) -> bytes:

@@ -1,6 +1,7 @@
 """Representations of deformations: how a setup makes the columns of U; one file each, read without torch."""
 
+from rbfevo.scoring.representations.kept import beginning_with, keeping
 from rbfevo.scoring.representations.rbf import RBF, rbf
 from rbfevo.scoring.representations.representation import Pull, Reduced, Representation, Space, representation_of
 
-__all__ = ["RBF", "Pull", "Reduced", "Representation", "Space", "rbf", "representation_of"]
+__all__ = ["RBF", "Pull", "Reduced", "Representation", "Space", "beginning_with", "keeping", "rbf", "representation_of"]

@@ -52,6 +52,7 @@ class Space:
         sample: (count, generator) -> that many random setups.
         place: points of the box -> setups: what symmetry and fixed regions make of them.
         pull: (points, gradient in their setups) -> gradient in the points.
+        points: setups that `place` has made -> points that it makes them of.
     """
 
     lower: Tensor
@@ -59,6 +60,7 @@ class Space:
     sample: Callable[[int, torch.Generator], Tensor]
     place: Callable[[Tensor], Tensor]
     pull: Callable[[Tensor, Tensor], Tensor]
+    points: Callable[[Tensor], Tensor] = lambda setups: setups
 
 
 class Representation(abc.ABC):

@@ -12,6 +12,7 @@ function setupsOf(content) {
   content.runs.forEach((run, runIndex) => {
     run.index = runIndex;
     for (const name of ["regularity", "potential", "variability", "centers"]) run[name] = unpacked(run[name], Float64Array);
+    const several = run.objectives, each = several ? unpacked(several.potentials, Float64Array) : null;
     run.rows.forEach((row, place) => {
       setups.push({
         index: setups.length,
@@ -20,6 +21,7 @@ function setupsOf(content) {
         row,
         R: run.regularity[place],
         P: run.potential[place],
+        each: several ? Array.from(each.subarray(place * several.names.length, (place + 1) * several.names.length)) : [],
         V: run.variability[place],
         method: run.method[place],
         preference: run.preference[place],

@@ -88,7 +88,6 @@ function rowNorms(rows, n, k) {
 function unpackMesh(mesh) {
   mesh.vertices = unpacked(mesh.vertices, Float64Array);
   mesh.faces = unpacked(mesh.faces, Uint32Array);
-  mesh.gradient = unpacked(mesh.gradient, Float64Array);
   mesh.roots = mesh.weights ? unpacked(mesh.weights, Float64Array).map(Math.sqrt) : null;
   const blend = mesh.blend ? unpacked(mesh.blend, Float64Array) : null;  // 0 where a vertex is held
   mesh.factors = blend && mesh.roots ? blend.map((value, i) => value * mesh.roots[i]) : blend || mesh.roots;
@@ -97,20 +96,31 @@ function unpackMesh(mesh) {
     for (let at = axis; axis < mesh.d && at < mesh.vertices.length; at += mesh.d) { low = Math.min(low, mesh.vertices[at]); high = Math.max(high, mesh.vertices[at]); }
     return axis < mesh.d ? (low + high) / 2 : 0;
   });
-  mesh.wanted = rowNorms(mesh.gradient, mesh.n, mesh.k);
-  mesh.most = mesh.wanted.reduce((a, b) => Math.max(a, b), 0);
-  mesh.known = new Map();
+  mesh.fields = (mesh.objectives || [mesh]).map(({ name, gradient, stretch, remark }) => fieldOf(name, unpacked(gradient, Float64Array), mesh, stretch, remark));
+  showObjective(mesh, 0);
   return mesh;
+}
+
+/** What of a mesh belongs to one objective: its wanted displacement, and what is computed from it. */
+function fieldOf(name, gradient, mesh, stretch, remark) {
+  const wanted = rowNorms(gradient, mesh.n, mesh.k);
+  return { name: name || "", gradient, stretch, remark, wanted, most: wanted.reduce((a, b) => Math.max(a, b), 0), known: new Map(), target: null, highest: null, highestKey: null };
+}
+
+/** Let a mesh show another one of its objectives. */
+function showObjective(mesh, index) {
+  mesh.objective = index;
+  Object.assign(mesh, mesh.fields[index]);
 }
 
 /** The residual of a setup from the numbers in the page; null if the page does not hold them. */
 function embedded(setup, mesh) {
   const { n, k } = mesh, given = setup.run.embedded;
   if (!given) return null;
-  if (!given.array) given.array = unpacked(given.left, Float32Array);
+  if (!given.arrays) given.arrays = [given.left].flat().map((left) => unpacked(left, Float32Array)); // one for each objective
   const place = given.rows.indexOf(setup.place);
   if (place < 0) return null;
-  const left = Float64Array.from(given.array.subarray(place * n * k, (place + 1) * n * k));
+  const left = Float64Array.from(given.arrays[mesh.objective].subarray(place * n * k, (place + 1) * n * k));
   let remaining = 0, whole = 0;
   for (let i = 0; i < n * k; i++) {
     const weight = mesh.roots ? mesh.roots[Math.floor(i / k)] ** 2 : 1;

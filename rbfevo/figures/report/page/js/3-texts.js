@@ -31,7 +31,10 @@ function origin(setup, several) {
   return `${several ? `${setup.run.name}: ` : ""}row ${setup.row}, ${setup.method}${preference}`;
 }
 
-const scores = (setup) => `R = ${short(setup.R)}, ${setup.run.symbol} = ${short(setup.P)}`;
+const scores = (setup) => `R = ${short(setup.R)}, ${setup.run.symbol} = ${short(setup.P)}${setup.each.length ? ` (${eachOf(setup).join(", ")})` : ""}`;
+
+/** The potential of each of several objectives, as text. */
+const eachOf = (setup, of = short) => setup.each.map((value, j) => `${setup.run.objectives.names[j]} ${of(value)}`);
 
 /** What R means: the ratio of the strongest to the weakest direction of the parameters. */
 function regularityText(setup) {
@@ -43,6 +46,11 @@ function regularityText(setup) {
 
 /** What P means: the share of the wanted displacement that is within reach. */
 function potentialText(setup, mesh) {
+  if (setup.each.length) {
+    const gains = eachOf(setup, (value) => percent(Math.sqrt(Math.max(0, value)))).join(", ");
+    const size = setup.run.bounded ? "with the same bound on the displacement" : "of the same size";
+    return `Of the objectives' own potentials it is the ${setup.run.objectives.combination}. To first order, the best step within reach for each alone gains of what a step ${size} with all vertices free gains: ${gains}.`;
+  }
   if (setup.run.bounded) return `To first order, the best step within reach gains ${percent(Math.sqrt(Math.max(0, setup.P)))} of what a step with all vertices free gains, both with the same bound on the displacement: for a large p, on its largest vector.`;
   const left = percent(Math.sqrt(Math.max(0, 1 - setup.P)));
   if (mesh.direction) return `To first order, the best step within reach improves the objective by ${percent(Math.sqrt(Math.max(0, setup.P)))} of the improvement by a step of the same size with all vertices free; ${left} of the sensitivity (root mean square) is out of reach of any optimizer.`;
@@ -70,7 +78,8 @@ function card(setup, mesh, title, several) {
 function comparison(a, b) {
   const times = b.R > 0 && a.R > 0 ? `${short(a.R / b.R, 3)} times the regularity` : "another regularity";
   const residual = 1 - b.P > 0 ? `${short((1 - a.P) / (1 - b.P), 3)} times its squared residual` : "another residual";
-  if (a.run.bounded) return `Compared with the kept setup, the chosen one has ${times} and ${b.P > 0 ? `${short(a.P / b.P, 3)} times its` : "another"} bounded potential.`;
+  const name = a.run.objectives ? a.run.potential_name : "bounded potential";
+  if (a.run.bounded || a.run.objectives) return `Compared with the kept setup, the chosen one has ${times} and ${b.P > 0 ? `${short(a.P / b.P, 3)} times its` : "another"} ${name}.`;
   return `Compared with the kept setup, the chosen one has ${times} and ${residual}.`;
 }
 
@@ -81,7 +90,8 @@ function nextSteps(setup, mesh) {
   const fit = mesh.direction || setup.run.mirror ? "" : `\npython -m rbfevo.fit ${place} --pick index:${setup.row}`;
   return el("div", {}, el("p", {}, "To continue with the chosen setup, in the directory of this page:"),
     el("pre", {}, `${pick}${fit}\npython -m rbfevo.show ${place} --pick index:${setup.row}`),
-    el("p", {}, "The first command writes its control points for spreadsheets, ParaView, NumPy and PyGeM" + (fit ? ", the second carries out a trial optimization" : "") + ", the last shows it in a window."));
+    el("p", {}, "The first command writes its control points for spreadsheets, ParaView, NumPy and PyGeM" + (fit ? ", the second carries out a trial optimization" : "") + ", the last shows it in a window." +
+      (setup.each.length ? " Its step follows the weighted sum of the sensitivities, or one of them with --objective NAME; with --keep NAME an objective gets no worse." : "")));
 }
 
 /** How one run was made. */

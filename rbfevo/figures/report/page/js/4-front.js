@@ -33,7 +33,7 @@ function logScale(setups) {
 function frontFigure(state) {
   const colors = theme(), setups = state.visible, log = state.logarithmic, scale = logScale(setups);
   const place = (setup) => (log && !(setup.R > 0) ? scale.zero : setup.R);
-  const label = (setup) => `${origin(setup, state.several)}<br>R ${short(setup.R)} · ${setup.run.symbol} ${short(setup.P)}`;
+  const label = (setup) => `${origin(setup, state.several)}<br>R ${short(setup.R)} · ${setup.run.symbol} ${short(setup.P)}${setup.each.length ? `<br>${setup.run.objectives.symbol}: ${eachOf(setup).join(" · ")}` : ""}`;
   const traces = [];
   const lowest = log ? scale.low : Math.min(...setups.map((setup) => setup.R)), bottom = Math.min(...setups.map((setup) => setup.P));
   if (state.front.length) {
@@ -56,7 +56,7 @@ function frontFigure(state) {
     hoverlabel: { bgcolor: colors.paper, bordercolor: colors.grey, font: { color: colors.ink } },
     legend: { orientation: "h", yref: "container", y: 0, yanchor: "bottom", x: 0, font: { size: narrow ? 10 : 12 } }, // the buttons are above
     xaxis: { ...axisLook(colors), title: { text: `regularity R${log ? " (logarithmic)" : ""} →` }, type: log ? "log" : "linear", zeroline: false, ...(log ? { range: [Math.log10(scale.low), Math.log10(scale.high)], exponentformat: "power", dtick: 1 } : {}) },
-    yaxis: { ...axisLook(colors), title: { text: `${run.potential_name}${run.bounded ? "" : " P"} →` }, zeroline: false },
+    yaxis: { ...axisLook(colors), title: { text: `${run.potential_name}${run.bounded || run.objectives ? "" : " P"} →` }, zeroline: false },
     shapes: log && scale.zeros ? [{ type: "rect", xref: "x", yref: "paper", x0: scale.low, x1: scale.edge, y0: 0, y1: 1, fillcolor: colors.line, opacity: 0.4, line: { width: 0 }, layer: "below" }] : [],
     annotations: log && scale.zeros ? [{ x: Math.log10(scale.zero), y: 0, xref: "x", yref: "paper", text: "R = 0", showarrow: false, yanchor: "bottom", font: { size: 11, color: colors.grey } }] : [],
   };

@@ -57,7 +57,7 @@ function boxOf(mesh, setups) {
   if (mesh.box) return mesh.box;
   const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
   const take = (axis, value) => { if (value < low[axis]) low[axis] = value; if (value > high[axis]) high[axis] = value; };
-  for (const shape of [moved(mesh, null, 0), moved(mesh, mesh.gradient, mesh.stretch)]) shape.forEach((values, axis) => values.forEach((value) => take(axis, value)));
+  for (const shape of [moved(mesh, null, 0), ...mesh.fields.map(({ gradient, stretch }) => moved(mesh, gradient, stretch))]) shape.forEach((values, axis) => values.forEach((value) => take(axis, value)));
   for (const setup of setups) {
     const { own, images } = placesOf(setup, mesh);
     for (const place of [...own, ...images.map(([image]) => image)]) about(place, mesh).forEach((value, axis) => take(axis, value));
@@ -181,7 +181,7 @@ function drawScale(state) {
   const mesh = state.mesh, factor = mesh.scale || 1;
   byId("scale-low").textContent = "0";
   byId("scale-high").textContent = `${state.color === "left" ? "≥ " : ""}${short(factor * highest(state), 3)}`;
-  byId("scale-unit").textContent = mesh.scale ? "model units" : mesh.direction ? "of the sensitivity (unit norm)" : "of the displacement (unit norm)";
+  byId("scale-unit").textContent = mesh.scale ? "model units" : mesh.direction ? `of the sensitivity${mesh.name && ` of ${mesh.name}`} (unit norm)` : "of the displacement (unit norm)";
   byId("scale-bar").style.background = `linear-gradient(to right, ${state.content.colors.map(([at, color]) => `${color} ${100 * at}%`).join(", ")})`;
   const notes = state.flaw ? [state.flaw] : [];
   if (mesh.n < mesh.of) notes.push(`This page shows and computes with ${mesh.n.toLocaleString("en")} of ${mesh.of.toLocaleString("en")} vertices; R and ${runShown(state).symbol} are those of all.`);

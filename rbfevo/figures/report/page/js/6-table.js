@@ -36,8 +36,9 @@ function sortedBy(sort, column) {
 
 function drawTable(state) {
   const { sort } = state, { symbol } = runShown(state);
-  const columns = COLUMNS.filter((column) => !column.sweep || state.several).map((found) => (found.key === "P" ? { ...found, title: symbol } : found));
-  const column = columns.find((found) => found.key === sort.key);
+  const { objectives } = runShown(state), own = (objectives?.names || []).map((name, j) => ({ key: `objective-${j}`, title: `${objectives.symbol} ${name}`, of: (setup) => setup.each[j] }));
+  const columns = COLUMNS.filter((column) => !column.sweep || state.several).flatMap((found) => (found.key === "P" ? [{ ...found, title: symbol }, ...own] : [found]));
+  const column = columns.find((found) => found.key === sort.key) || columns[0];
   const members = state.visible.filter((setup) => !byId("only-front").checked || state.inFront.has(setup));
   members.sort((a, b) => compare(column.of(a, state), column.of(b, state), sort.down) || a.index - b.index);
   const act = (key) => { state.sort = sortedBy(sort, columns.find((found) => found.key === key)); drawTable(state); byId("setups").querySelector(`[data-key="${key}"]`).focus(); };

@@ -39,7 +39,7 @@ function start() {
     state.mesh = content.meshes[index];
     if (byId("filter-mesh")) byId("filter-mesh").value = index;
     show();
-    if (content.sweep) { drawSpread(state); drawGroups(state); }
+    if (content.sweep) { drawNumbers(state); drawSpread(state); drawGroups(state); }
   };
 
   function show() {
@@ -49,6 +49,7 @@ function start() {
     document.querySelector("main").classList.toggle("nothing", none);
     if (none) return;
     if (!state.visible.includes(state.chosen)) state.chosen = state.knee || state.visible[0];
+    drawObjectives();
     if (state.kept?.run.mesh !== state.meshIndex) state.kept = null;
     drawFront(state);
     drawTable(state);
@@ -77,6 +78,25 @@ function start() {
   function drawing(act) {
     if (waiting === null) requestAnimationFrame(() => setTimeout(() => { const now = waiting; waiting = null; now(); }));
     waiting = act;
+  }
+
+  /** Radio buttons for several objectives of the mesh that is shown. */
+  function drawObjectives() {
+    const { fields, objective } = state.mesh, several = fields.length > 1;
+    byId("objectives").hidden = !several;
+    byId("objective-key").hidden = byId("objective-key").nextElementSibling.hidden = !content.meshes.some((mesh) => mesh.fields.length > 1);
+    byId("objective-choices").replaceChildren(...(several ? fields : []).map(({ name }, index) =>
+      el("label", {}, el("input", { type: "radio", name: "objective", value: index, checked: index === objective, on: { change: () => setObjective(index) } }), ` ${name}`)));
+  }
+
+  function setObjective(index) {
+    const { fields } = state.mesh;
+    if (fields.length < 2) return;
+    showObjective(state.mesh, index % fields.length);
+    document.querySelector(`input[name="objective"][value="${state.mesh.objective}"]`).checked = true;
+    drawViews();
+    remember();
+    byId("announce").textContent = `objective ${state.mesh.name}`;
   }
 
   function drawTexts() {
@@ -167,7 +187,8 @@ function start() {
   /** The choice in the address, so that a link or a reload finds it again. */
   function remember() {
     const name = (setup) => `${state.several ? `${encodeURIComponent(setup.run.name)}:` : ""}${setup.row}`;
-    const address = `#setup=${name(state.chosen)}${state.kept ? `&kept=${name(state.kept)}` : ""}`;
+    const shown = state.mesh.objective ? `&objective=${encodeURIComponent(state.mesh.name)}` : "";
+    const address = `#setup=${name(state.chosen)}${state.kept ? `&kept=${name(state.kept)}` : ""}${shown}`;
     try { history.replaceState(null, "", address); } catch { /* some browsers refuse it for files */ }
   }
 
@@ -181,6 +202,7 @@ function start() {
     };
     state.chosen = find(choice.get("setup"));
     state.kept = find(choice.get("kept"));
+    for (const mesh of content.meshes) showObjective(mesh, Math.max(0, mesh.fields.findIndex(({ name }) => name && name === choice.get("objective"))));
   }
 
   const keys = {
@@ -193,6 +215,7 @@ function start() {
     x: swap,
     e: () => setRadio("color", state.color === "wanted" ? "left" : "wanted"),
     t: () => { const shapes = ["template", "reached", "wanted"]; setRadio("shape", shapes[(shapes.indexOf(state.shape) + 1) % 3]); },
+    n: () => setObjective(state.mesh.objective + 1),
     o: () => { byId("see-through").checked = state.seeThrough = !state.seeThrough; drawViews(); },
     v: () => turnBack(state),
     d: saveCenters,
@@ -218,11 +241,11 @@ function start() {
   byId("more").addEventListener("click", () => { state.shownRows += AT_ONCE; drawTable(state); });
   byId("copy-bibtex").addEventListener("click", () => copyText(byId("bibtex").textContent, byId("copy-bibtex")));
   addEventListener("hashchange", () => { remembered(); state.showMesh(state.chosen ? state.chosen.run.mesh : state.meshIndex); });
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawFront(state); drawViews(); if (content.sweep) drawSpread(state); });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { drawFront(state); drawViews(); if (content.sweep) { drawNumbers(state); drawSpread(state); } });
 
   if (!document.createElement("canvas").getContext("webgl")) state.flaw = "This browser has no WebGL, or it is switched off: the 3-D views stay empty, but the front, the table and the CSV work. ";
   const fitting = new ResizeObserver((changes) => changes.forEach(({ target }) => { if (target.data && target.clientWidth) Plotly.Plots.resize(target); }));
-  for (const id of ["front", "space-a", "space-b", "spread"]) fitting.observe(byId(id));
+  for (const id of ["front", "space-a", "space-b", "spread", "numbers-potential", "numbers-regularity"]) fitting.observe(byId(id));
 
   byId("title").textContent = content.title;
   byId("subtitle").textContent = content.subtitle;
