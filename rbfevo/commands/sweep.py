@@ -10,11 +10,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-<<<<<<< HEAD
-import time
-=======
 import threading
->>>>>>> main
+import time
 import uuid
 from collections.abc import Iterator
 from datetime import datetime
