@@ -68,7 +68,7 @@ class Finished:
         values = {override.key_or_group: override for override in parsed if not self._is_option(override)}
         if len(values) + len(options) < len(parsed) or not all(map(_is_plain, parsed)):
             return None
-        kind = tuple(str(override.input_line) for override in options)
+        kind = (*(str(override.input_line) for override in options), *values)
         if kind not in self._kinds:
             self._kinds[kind] = self._composed_by_hydra(overrides)
         found = self._kinds[kind]

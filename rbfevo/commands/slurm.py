@@ -172,7 +172,8 @@ def _settle(submitted: Sequence[Job], job_overrides: Sequence[Sequence[str]], nu
     ended, found = time.monotonic(), saved()
     for job, overrides, number in zip(submitted, job_overrides, numbers, strict=True):
         outcome = found.get(number, jobs.Outcome(number, list(overrides), str(number), "", None))
-        while outcome.code is None and job.state == "COMPLETED" and time.monotonic() - ended < LATE:
+        done = job.state == "COMPLETED" or job.paths.result_pickle.exists()
+        while outcome.code is None and done and time.monotonic() - ended < LATE:
             time.sleep(1)
             outcome = saved().get(number, outcome)
         if outcome.code is None:
@@ -184,13 +185,14 @@ def _reason(job: Job) -> str:
     log = Path(job.paths.stderr)
     try:
         text = log.read_text(errors="replace")
-    except OSError:
-        return f"SLURM's job {job.job_id} {REASONS.get(job.state, job.state)}"
+    except OSError:  # of an array's job that is cancelled before it begins SLURM keeps nothing
+        why = f"{REASONS['CANCELLED']} before it began" if job.state in ("CANCELLED", GONE) else REASONS[job.state]
+        return f"SLURM's job {job.job_id} {why}"
     found = _OF_SLURM.findall(text)
     memory = [line for line in found if _MEMORY.search(line)]
     state = "OUT_OF_MEMORY" if memory else job.state
     lines = memory[:1] or found[-1:] or text.strip().splitlines()[-1:]
-    return f"SLURM's job {job.job_id} {REASONS.get(state, state)}: {''.join(lines)[:200]} (log: {log})"
+    return f"SLURM's job {job.job_id} {REASONS[state]}: {''.join(lines)[:200]} (log: {log})"
 
 
 # --- within a job ----------------------------------------------------------------------------------------------------

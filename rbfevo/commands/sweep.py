@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
 import threading
-import time
 import uuid
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 import hydra.errors
 from hydra.core.hydra_config import HydraConfig
@@ -28,55 +23,13 @@ from rbfevo import names
 from rbfevo.commands import gpus, jobs, parsers
 from rbfevo.commands.composition import Composition, start, write_hydra
 from rbfevo.commands.launching import JOBLIB, SLURM, remaining
+from rbfevo.commands.leader import Leader
 from rbfevo.commands.single import announce, guarded, locked, tidy
 from rbfevo.errors import UserError
 from rbfevo.runs.config import RunConfig, check_top
 
 SKIPPED = -1
 LONGEST = 3600  # seconds that a sweep is collected: each nested sequence may take two minutes
-
-
-class Leader:
-    """What SIGINT and SIGTERM do to the main process of a sweep, where no job runs in this process.
-
-    The first one stops the jobs in the processes that a launcher has started on this machine, and waits until they have
-    saved what they have found; a second one does not wait.
-
-    Args:
-        place: for the outcomes of this start of the sweep.
-
-    Attributes:
-        signal: the first of them, None without one.
-    """
-
-    def __init__(self, place: Path) -> None:
-        self.signal: int | None = None
-        self._place = place
-        self._before: dict[int, Any] = {}
-
-    def __enter__(self) -> Leader:
-        with contextlib.suppress(ValueError):  # not the main thread
-            for number in (signal.SIGINT, signal.SIGTERM):
-                self._before[number] = signal.signal(number, self._note)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def _note(self, number: int, _frame: FrameType | None) -> None:
-        if self.signal is None:
-            self.signal = number
-            if multiprocessing.active_children():
-                (self._place / jobs.STOP).touch()
-                os.write(2, b"rbfevo: stopping; the jobs that run save their results so far\n")
-            while self._running():
-                time.sleep(0.1)
-        raise KeyboardInterrupt
-
-    def _running(self) -> bool:
-        alive = {child.pid for child in multiprocessing.active_children()}
-        return any(outcome.code is None and outcome.process in alive for outcome in jobs.outcomes(self._place))
 
 
 def job(config: DictConfig) -> None:
@@ -203,10 +156,15 @@ def carry_out_sweep(arguments: list[str]) -> int:
     codes = [1 if outcome.code is None else outcome.code for outcome in found]
     stops = [code for code in codes if code in jobs.STOPPED]
     if stops or interrupted:
-        return 128 + leader.signal if leader.signal is not None else stops[0] if stops else 130
+        return leader.code or (stops[0] if stops else 130)
     done = [outcome for outcome in found if outcome.code == 0]
     if any(outcome.figures for outcome in done):
-        collect(Path(found[0].sweep), all(outcome.quiet for outcome in done))
+        with leader:
+            try:
+                collect(Path(found[0].sweep), all(outcome.quiet for outcome in done))
+            except KeyboardInterrupt:
+                parsers.complain("rbfevo", f"interrupted; python -m rbfevo.collect {found[0].sweep} makes its page")
+                return leader.code or 130
     return max([*codes, int(bool(broken))], default=0)
 
 

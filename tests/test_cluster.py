@@ -1,0 +1,145 @@
+"""Sweeps and long runs on a real SLURM (tests/clusters.py): what happens to jobs there, and what they leave."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import clusters
+import numpy as np
+import pytest
+from clusters import ROOT, Cluster, until
+
+from rbfevo.commands import jobs
+from rbfevo.errors import UserError
+from rbfevo.runs import checkpoint
+
+SMALL = ("scenario=plane", "centers=4", "figures=false", "evaluator=eager", "method=nsga2", "method.population=8")
+LAUNCHER = ("hydra/launcher=submitit_slurm", "hydra.launcher.timeout_min=60", "hydra.launcher.cpus_per_task=1")
+LARGE = "[700,700]"  # takes 600 MB, the others 340
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Cluster]:
+    with clusters.running() as made:
+        yield made
+
+
+def step(run: Path) -> int:
+    """How far a run is, by its checkpoint."""
+    try:
+        progress = checkpoint.load(run).get("progress")
+    except UserError:
+        return 0
+    return 0 if progress is None else int(progress["step"])
+
+
+def arrays(run: Path) -> dict[str, np.ndarray]:
+    with np.load(run / "setups.npz") as archive:
+        return dict(archive)
+
+
+def assert_same(one: Path, other: Path) -> None:
+    """Assert that two runs have found the same, bit for bit, in the same generations."""
+    here, there = arrays(one), arrays(other)
+    assert here.keys() == there.keys()
+    for name, array in here.items():
+        assert np.array_equal(array, there[name], equal_nan=array.dtype.kind == "f"), name
+    first, second = (list(csv.DictReader((run / "history.csv").open())) for run in (one, other))
+    assert [line["generation"] for line in first] == [line["generation"] for line in second]
+
+
+# --- sweeps ----------------------------------------------------------------------------------------------------------
+
+
+def sweep(cluster: Cluster, directory: Path, resolutions: Sequence[str], memory: str, *more: str) -> list[str]:
+    """The command of a sweep over resolutions."""
+    memory = f"+hydra.launcher.additional_parameters.mem={memory}"
+    over = f"scenario.resolution={','.join(resolutions)}"
+    words = [*SMALL, *LAUNCHER, "quiet=true", "checkpoint.every=0", over, memory, f"hydra.sweep.dir={directory}"]
+    return cluster.command(sys.executable, "-m", "rbfevo", "-m", *words, *more)
+
+
+class Leader:
+    """The main process of a sweep."""
+
+    def __init__(self, cluster: Cluster, command: Sequence[str], log: Path) -> None:
+        self.log = log
+        before = set(cluster.states())
+        with log.open("w") as file:
+            self.process = subprocess.Popen(command, env=cluster.environment, stderr=file, stdout=file, cwd=log.parent)
+        self._cluster, self._before = cluster, before
+
+    def jobs(self) -> dict[int, str]:
+        """The states of its jobs, by their places in SLURM's array."""
+        found = {job: state for job, state in self._cluster.states().items() if job not in self._before and "_" in job}
+        return {int(job.partition("_")[2]): state for job, state in found.items()}
+
+    def array(self) -> str:
+        """The id of SLURM's array."""
+        (found,) = {job.partition("_")[0] for job in set(self._cluster.states()) - self._before if "_" in job}
+        return found
+
+    def ended(self) -> tuple[int, str]:
+        """The exit code and what it printed, once it has ended."""
+        code = self.process.wait(timeout=900)
+        return code, self.log.read_text()
+
+
+def failures(text: str) -> dict[int, str]:
+    """What a sweep's list of failures has about each job, by its number."""
+    return {int(number): reason for number, reason in re.findall(r"^  (\d+) \(\S+\): (.+)$", text, re.MULTILINE)}
+
+
+def finished(directory: Path) -> dict[str, str]:
+    """The directories of the runs that are done, by their resolution."""
+    found: dict[str, str] = {}
+    for path in sorted(directory.glob("*/summary.json")):
+        if checkpoint.head(path.parent)["finished"]:
+            rows, columns = re.findall(r"resolution=\[(\d+),(\d+)\]", (path.parent / ".hydra/overrides.yaml").read_text())[0]
+            assert f"[{rows},{columns}]" not in found, "done twice"
+            found[f"[{rows},{columns}]"] = path.parent.name
+    return found
+
+
+def times(directory: Path) -> dict[str, int]:
+    return {path.parent.name: path.stat().st_mtime_ns for path in directory.glob("*/setups.npz")}
+
+
+def test_a_sweep_goes_on_whatever_slurm_does_to_its_jobs(cluster, tmp_path):
+    resolutions = ["[12,12]", LARGE, "[14,14]", "[15,15]"]
+    long = ("method.generations=200",)
+    directory = tmp_path / "sweep"
+    leader = Leader(cluster, sweep(cluster, directory, resolutions, "450M", *long), tmp_path / "first.log")
+    until(lambda: len(leader.jobs()) == 4, "the jobs are in the queue")
+    array = leader.array()
+    cluster.ask("scancel", f"{array}_3")
+    until(lambda: step(directory / "0") > 10, "the first job is in the middle")
+    cluster.ask("scontrol", "requeue", f"{array}_0")
+    cluster.start_again_now(f"{array}_0")
+    code, text = leader.ended()
+    assert code == 1, text
+    found = failures(text)
+    assert "2 of 4 jobs failed:" in text
+    assert found.keys() == {1, 3}
+    assert "was killed for memory" in found[1]
+    assert found[3] == f"SLURM's job {array}_3 was cancelled before it began"
+    assert finished(directory).keys() == {"[12,12]", "[14,14]"}
+    assert not (directory / jobs.STATUS).exists()
+
+    before = times(directory)
+    code, text = Leader(cluster, sweep(cluster, directory, resolutions, "1500M", *long), tmp_path / "second.log").ended()
+    assert code == 0, text
+    assert "2 of 4 jobs were already done" in text
+    assert finished(directory).keys() == set(resolutions)
+    after = times(directory)
+    assert {name: after[name] for name in ("0", "2")} == {name: before[name] for name in ("0", "2")}
+    words = [*SMALL, *long, "scenario.resolution=[12,12]", "quiet=true", f"hydra.run.dir={tmp_path / 'calm'}"]
+    subprocess.run([sys.executable, "-m", "rbfevo", *words], env=cluster.environment, check=True, timeout=300)
+    assert_same(directory / "0", tmp_path / "calm")
