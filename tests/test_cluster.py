@@ -20,9 +20,9 @@ from rbfevo.commands import jobs
 from rbfevo.errors import UserError
 from rbfevo.runs import checkpoint
 
-SMALL = ("scenario=plane", "centers=4", "figures=false", "evaluator=eager", "method=nsga2", "method.population=8")
+SMALL = ("scenario=plane", "centers=4", "figures=false", "method=nsga2", "method.population=8")
 LAUNCHER = ("hydra/launcher=submitit_slurm", "hydra.launcher.timeout_min=60", "hydra.launcher.cpus_per_task=1")
-LARGE = "[700,700]"  # takes 600 MB, the others 340
+LARGE = "[500,500]"  # takes 500 MB, the others 340
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +51,13 @@ def assert_same(one: Path, other: Path) -> None:
     assert here.keys() == there.keys()
     for name, array in here.items():
         assert np.array_equal(array, there[name], equal_nan=array.dtype.kind == "f"), name
-    first, second = (list(csv.DictReader((run / "history.csv").open())) for run in (one, other))
-    assert [line["generation"] for line in first] == [line["generation"] for line in second]
+    assert generations(one) == generations(other)
+
+
+def generations(run: Path) -> list[int]:
+    """The generations that history.csv has."""
+    with (run / "history.csv").open() as file:
+        return [int(line["generation"]) for line in csv.DictReader(file)]
 
 
 # --- sweeps ----------------------------------------------------------------------------------------------------------
@@ -114,7 +119,7 @@ def times(directory: Path) -> dict[str, int]:
 
 def test_a_sweep_goes_on_whatever_slurm_does_to_its_jobs(cluster, tmp_path):
     resolutions = ["[12,12]", LARGE, "[14,14]", "[15,15]"]
-    long = ("method.generations=200",)
+    long = ("method.generations=150",)
     directory = tmp_path / "sweep"
     leader = Leader(cluster, sweep(cluster, directory, resolutions, "450M", *long), tmp_path / "first.log")
     until(lambda: len(leader.jobs()) == 4, "the jobs are in the queue")
@@ -143,3 +148,64 @@ def test_a_sweep_goes_on_whatever_slurm_does_to_its_jobs(cluster, tmp_path):
     words = [*SMALL, *long, "scenario.resolution=[12,12]", "quiet=true", f"hydra.run.dir={tmp_path / 'calm'}"]
     subprocess.run([sys.executable, "-m", "rbfevo", *words], env=cluster.environment, check=True, timeout=300)
     assert_same(directory / "0", tmp_path / "calm")
+
+
+# --- one long run ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def script(tmp_path) -> Path:
+    """The script of docs/cluster.md, as it stands there."""
+    (found,) = re.findall(r"```bash\n(#!/bin/bash\n.*?)```", (ROOT / "docs" / "cluster.md").read_text(), re.DOTALL)
+    assert found.count("\n") == 10
+    path = tmp_path / "long.sh"
+    path.write_text(found)
+    return path
+
+
+LONG = [*SMALL, "scenario.resolution=[12,12]"]
+OURS = ("--cpus-per-task=1", "--mem=1G")  # what these nodes have
+
+
+def test_a_long_run_goes_on_after_it_was_preempted(cluster, script, tmp_path):
+    words = [*LONG, "method.generations=400"]
+    run = tmp_path / "run"
+    job = cluster.submit("--partition=low", *OURS, str(script), "run", *words, "checkpoint.every=0", cwd=tmp_path)
+    until(lambda: step(run) > 10, "the run is in the middle")
+    other = cluster.submit("--partition=high", "--nodes=2", "--exclusive", "--wrap=sleep 1", cwd=tmp_path)
+    until(lambda: cluster.states()[other] == "COMPLETED", "the job that comes first has run")
+    at = step(run)
+    assert 10 < at < 400
+    log = tmp_path / f"long.sh-{job}.log"
+    assert log.read_text().count("to continue: python -m rbfevo resume=") == 1
+    cluster.start_again_now(job)
+    until(lambda: cluster.states()[job] in clusters.ENDED, "the run is done")
+    assert cluster.states()[job] == "COMPLETED", log.read_text()
+    subprocess.run(
+        [sys.executable, "-m", "rbfevo", *words, "quiet=true", f"hydra.run.dir={tmp_path / 'calm'}"],
+        env=cluster.environment, check=True, timeout=300,
+    )  # fmt: skip
+    assert_same(run, tmp_path / "calm")
+
+
+@pytest.mark.slow
+def test_a_long_run_goes_on_after_its_time_limit_and_ends_when_it_is_cancelled(cluster, script, tmp_path):
+    run = tmp_path / "run"
+    limits = ("--time=1", "--signal=TERM@30")  # minutes and seconds
+    job = cluster.submit(*limits, *OURS, str(script), "run", *LONG, "method.generations=1000000", cwd=tmp_path)
+    log = tmp_path / f"long.sh-{job}.log"
+    continuing = "to continue: python -m rbfevo resume="
+    until(lambda: log.exists() and continuing in log.read_text(), "SLURM has warned of the time limit")
+    at = step(run)
+    assert at > 0
+    cluster.start_again_now(job)
+    until(lambda: log.read_text().count(continuing) == 2, "SLURM has warned a second time")
+    assert step(run) > at
+    cluster.start_again_now(job)
+    until(lambda: cluster.states()[job] == "RUNNING", "the run goes on once more")
+    until(lambda: log.read_text().count("height field") == 3, "it searches")
+    cluster.ask("scancel", job)
+    until(lambda: cluster.states()[job] in clusters.ENDED, "the run has ended")
+    assert cluster.states()[job] == "CANCELLED"
+    assert generations(run) == list(range(1, step(run) + 1))
+    assert json.loads((run / "summary.json").read_text())["stop_reason"] == "interrupted by SIGTERM"
