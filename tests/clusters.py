@@ -65,7 +65,7 @@ class Cluster:
         assert done.returncode == 0, done.stderr
 
     def kill_controller(self) -> None:
-        """Kill slurmctld, as a power cut would."""
+        """Kill slurmctld, as a power cut does."""
         os.kill(int((self.place / "slurmctld.pid").read_text()), signal.SIGKILL)
 
     def states(self) -> dict[str, str]:
@@ -78,9 +78,16 @@ class Cluster:
         return self.ask("sbatch", "--parsable", *words, cwd=cwd).strip()
 
     def start_again_now(self, job: str) -> None:
-        """Wait until a job is back in the queue, and start it without the two minutes that SLURM lets it wait there."""
-        until(lambda: self.states()[job] == "PENDING", f"job {job} was put into the queue again")
-        self.ask("scontrol", "update", f"JobId={job}", "StartTime=now")
+        """Wait until a job is back in the queue, and let it start without the two minutes that SLURM keeps it there."""
+
+        def started() -> bool:
+            state = self.states()[job]
+            if state == "PENDING":
+                self.ask("scontrol", "update", f"JobId={job}", "StartTime=now")
+                time.sleep(1)
+            return state in ("RUNNING", "COMPLETED")
+
+        until(started, f"job {job} has started again")
 
 
 @contextlib.contextmanager

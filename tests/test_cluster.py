@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import re
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -107,7 +107,9 @@ def finished(directory: Path) -> dict[str, str]:
     found: dict[str, str] = {}
     for path in sorted(directory.glob("*/summary.json")):
         if checkpoint.head(path.parent)["finished"]:
-            rows, columns = re.findall(r"resolution=\[(\d+),(\d+)\]", (path.parent / ".hydra/overrides.yaml").read_text())[0]
+            rows, columns = re.findall(
+                r"resolution=\[(\d+),(\d+)\]", (path.parent / ".hydra/overrides.yaml").read_text()
+            )[0]
             assert f"[{rows},{columns}]" not in found, "done twice"
             found[f"[{rows},{columns}]"] = path.parent.name
     return found
@@ -139,7 +141,9 @@ def test_a_sweep_goes_on_whatever_slurm_does_to_its_jobs(cluster, tmp_path):
     assert not (directory / jobs.STATUS).exists()
 
     before = times(directory)
-    code, text = Leader(cluster, sweep(cluster, directory, resolutions, "1500M", *long), tmp_path / "second.log").ended()
+    code, text = Leader(
+        cluster, sweep(cluster, directory, resolutions, "1500M", *long), tmp_path / "second.log"
+    ).ended()
     assert code == 0, text
     assert "2 of 4 jobs were already done" in text
     assert finished(directory).keys() == set(resolutions)
@@ -148,6 +152,76 @@ def test_a_sweep_goes_on_whatever_slurm_does_to_its_jobs(cluster, tmp_path):
     words = [*SMALL, *long, "scenario.resolution=[12,12]", "quiet=true", f"hydra.run.dir={tmp_path / 'calm'}"]
     subprocess.run([sys.executable, "-m", "rbfevo", *words], env=cluster.environment, check=True, timeout=300)
     assert_same(directory / "0", tmp_path / "calm")
+
+
+@pytest.mark.slow
+def test_twenty_jobs_are_done_once_whatever_happens(cluster, tmp_path):
+    """Two cancelled, one killed for memory, one requeued, the controller killed and a node drained."""
+    resolutions = [LARGE, *(f"[{side},{side}]" for side in range(12, 31))]
+    directory = tmp_path / "sweep"
+    leader = Leader(cluster, sweep(cluster, directory, resolutions, "450M", "method.generations=150"), tmp_path / "log")
+    until(lambda: len(leader.jobs()) == 20, "the jobs are in the queue")
+    array = leader.array()
+    cluster.ask("scancel", f"{array}_19")  # which has not begun
+    until(lambda: step(directory / "1") > 10, "the second job is in the middle")
+    cluster.ask("scontrol", "requeue", f"{array}_1")
+    cluster.start_again_now(f"{array}_1")
+    until(lambda: step(directory / "4") > 10, "the fifth job is in the middle")
+    cluster.ask("scancel", f"{array}_4")
+    until(lambda: step(directory / "6") > 10, "the seventh job is in the middle")
+    cluster.kill_controller()
+    time.sleep(20)  # jobs end meanwhile, and the leader asks in vain
+    cluster.start()
+    cluster.ask("scontrol", "update", "NodeName=node2", "State=drain", "Reason=test")
+    try:
+        until(lambda: step(directory / "12") > 10, "the thirteenth job is in the middle")
+        assert re.search(
+            r"node2 drain", cluster.ask("sinfo", "--noheader", "--Node", "--partition=main", "-o", "%N %T")
+        )
+        code, text = leader.ended()
+    finally:
+        cluster.ask("scontrol", "update", "NodeName=node2", "State=resume")
+    assert code == 1, text
+    found = failures(text)
+    assert "3 of 20 jobs failed:" in text
+    assert found.keys() == {0, 4, 19}
+    assert "was killed for memory" in found[0]
+    assert found[4] == "SIGTERM stopped it, by scancel or at its time limit; its results so far are saved"
+    assert found[19] == f"SLURM's job {array}_19 was cancelled before it began"
+    done = finished(directory)
+    assert done == {name: str(number) for number, name in enumerate(resolutions) if number not in found}
+
+    before, torn = times(directory), step(directory / "4")
+    assert 10 < torn < 150
+    again = Leader(
+        cluster, sweep(cluster, directory, resolutions, "1500M", "method.generations=150"), tmp_path / "next"
+    )
+    until(lambda: bool(again.jobs()), "the other jobs are in the queue")
+    assert len(again.jobs()) == 3
+    code, text = again.ended()
+    assert code == 0, text
+    assert "17 of 20 jobs were already done" in text
+    assert finished(directory) == {name: str(number) for number, name in enumerate(resolutions)}
+    assert {name: when for name, when in times(directory).items() if name in done.values()} == {
+        name: when for name, when in before.items() if name in done.values()
+    }
+    assert sorted(path.name for path in directory.iterdir() if not path.name.startswith(".")) == sorted(
+        [*map(str, range(20)), "multirun.yaml"]
+    )
+    for number in (1, 4):  # requeued, and cancelled in the middle
+        calm = tmp_path / f"calm-{number}"
+        words = [*SMALL, "method.generations=150", f"scenario.resolution={resolutions[number]}", "quiet=true"]
+        command = [sys.executable, "-m", "rbfevo", *words, f"hydra.run.dir={calm}"]
+        subprocess.run(command, env=cluster.environment, check=True, timeout=300)
+        assert_same(directory / str(number), calm)
+
+    collect = [sys.executable, "-m", "rbfevo.collect", str(directory)]
+    subprocess.run(collect, env=cluster.environment, check=True, timeout=300)
+    with (directory / "runs.csv").open() as file:
+        lines = list(csv.DictReader(file))
+    assert {line["run"] for line in lines} == set(map(str, range(20)))
+    page = (directory / "report.html").read_text()
+    assert all(f"scenario.resolution={name}" in page for name in resolutions)
 
 
 # --- one long run ----------------------------------------------------------------------------------------------------

@@ -20,15 +20,16 @@ def take(place: Path) -> None:
     gpus = visible()
     if len(gpus) < 2 or _held:
         return
-    for turn, gpu in itertools.product(itertools.count(), range(len(gpus))):
-        lock = filelock.FileLock(place / f"gpu-{gpu}-{turn}", timeout=0)
-        try:
-            lock.acquire()
-        except filelock.Timeout:
-            continue
-        _held.append(lock)
-        os.environ[VISIBLE] = gpus[gpu]
-        return
+    for turn in itertools.count():
+        for number, gpu in enumerate(gpus):
+            lock = filelock.FileLock(place / f"gpu-{number}-{turn}", timeout=0)
+            try:
+                lock.acquire()
+            except filelock.Timeout:
+                continue
+            _held.append(lock)
+            os.environ[VISIBLE] = gpu
+            return
 
 
 def choose(number: int) -> None:
