@@ -81,13 +81,19 @@ def members(directory: Path) -> tuple[list[Member], list[str]]:
     found: list[Member] = []
     unread: list[str] = []
     meshes: dict[str, dict[str, Array]] = {}
+    files: dict[bytes, dict[str, Array]] = {}
+    known: dict[tuple[Any, ...], str] = {}
     for path, reason in _walk(directory, set()):
         name = path.relative_to(directory).as_posix()
         try:
             if reason is not None:
                 raise UserError(reason)
-            record = read(path)
-            settings = _settings(record, path)
+            record = read(path, files)
+            arrays = (record.vertices, record.faces, record.gradient, record.weights, record.blend)
+            same = (*map(id, arrays), record.potential_name)  # of arrays that `files` keeps
+            if same not in known:
+                known[same] = mesh_of(record)
+            settings = _settings(record, path, known[same])
         except UserError as error:
             unread.append(f"{name}: {error}")
             continue
@@ -100,11 +106,11 @@ def members(directory: Path) -> tuple[list[Member], list[str]]:
     return found, unread
 
 
-def _settings(record: Record, run: Path) -> dict[str, Any]:
+def _settings(record: Record, run: Path, mesh: str) -> dict[str, Any]:
     """The settings of one run: from summary.json, and all others from .hydra/config.yaml if it exists."""
     entry = record.summary.get
     settings = {key: entry(key) for key in ("scenario", "kernel", "support", "manipulation", "method")}
-    settings |= {"centers": int(record.centers.shape[1]), "seed": entry("seed"), "mesh": mesh_of(record)}
+    settings |= {"centers": int(record.centers.shape[1]), "seed": entry("seed"), "mesh": mesh}
     leaves = dict(_leaves(hydra_files.configuration(run) or {}))
     if leaves.get("criterion.norm") == 2:  # as of runs from before there were others
         del leaves["criterion.norm"]
