@@ -1,7 +1,7 @@
 """`python -m benchmarks.thousand DIR`: a sweep of 1,000 finished jobs is started again, and its runs are collected.
 
-One run is carried out, with 100 setups of 25 centers on 22,500 vertices. The others are copies of it with another seed in
-all files that name it, so that the sweep takes them for its own.
+One run is carried out, with 200 setups of 25 centers on 22,500 vertices. The others are copies of it with another seed
+in all files that name it, so that the sweep takes them for its own.
 """
 
 from __future__ import annotations
@@ -10,12 +10,14 @@ import argparse
 import dataclasses
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from omegaconf import OmegaConf
 
@@ -53,23 +55,33 @@ def made(directory: Path, count: int) -> None:
         write_whole(run / ".hydra" / "overrides.yaml", OmegaConf.to_yaml(own).encode())
 
 
-def rbfevo(*words: str) -> tuple[float, str]:
-    """Carry out a command of the package: the seconds that it takes, and what it prints."""
-    begun = time.perf_counter()
+class Measured(NamedTuple):
+    """How long a command took, in seconds by the clock and of the processor, and what it printed."""
+
+    seconds: float
+    processor: float
+    text: str
+
+
+def rbfevo(*words: str) -> Measured:
+    """Carry out a command of the package."""
+    begun, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"python -m {' '.join(words)}: {done.stderr}")
-    return time.perf_counter() - begun, done.stdout + done.stderr
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return Measured(time.perf_counter() - begun, processor, done.stdout + done.stderr)
 
 
-def measured(directory: Path, count: int) -> tuple[float, float]:
-    """Seconds in which the sweep is started again, and in which its runs are collected."""
-    restarted, text = rbfevo("rbfevo", "-m", *RUN, f"seed=range({count})", f"hydra.sweep.dir={directory}")
-    if f"{count} of {count} jobs were already done" not in text:
-        raise SystemExit(f"jobs have begun anew: {text[-500:]}")
-    collected, text = rbfevo("rbfevo.collect", str(directory))
-    if f"{count} runs; written in" not in text:
-        raise SystemExit(f"runs were left out: {text[-500:]}")
+def measured(directory: Path, count: int) -> tuple[Measured, Measured]:
+    """Start the sweep again, and collect its runs."""
+    restarted = rbfevo("rbfevo", "-m", *RUN, f"seed=range({count})", f"hydra.sweep.dir={directory}")
+    if f"{count} of {count} jobs were already done" not in restarted.text:
+        raise SystemExit(f"jobs have begun anew: {restarted.text[-500:]}")
+    collected = rbfevo("rbfevo.collect", str(directory))
+    if f"{count} runs; written in" not in collected.text:
+        raise SystemExit(f"runs were left out: {collected.text[-500:]}")
     return restarted, collected
 
 
@@ -82,9 +94,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not (options.directory / str(options.runs - 1)).is_dir():
         made(options.directory, options.runs)
     restarted, collected = measured(options.directory, options.runs)
-    load = f", load {os.getloadavg()[0]:.1f} on {os.cpu_count()} CPUs" if hasattr(os, "getloadavg") else ""
-    print(f"{options.runs} finished jobs started again: {restarted:.1f} s; collected: {collected:.1f} s{load}")
-    return int(restarted > RESTARTED or collected > COLLECTED)
+    print(f"{options.runs} runs; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} CPUs")
+    for what, took, most in (("started again", restarted, RESTARTED), ("collected", collected, COLLECTED)):
+        print(f"{what}: {took.seconds:.1f} s, {took.processor:.1f} s of the processor (at most {most:.0f} s)")
+    return int(restarted.seconds > RESTARTED or collected.seconds > COLLECTED)
 
 
 if __name__ == "__main__":

@@ -107,11 +107,10 @@ def finished(directory: Path) -> dict[str, str]:
     found: dict[str, str] = {}
     for path in sorted(directory.glob("*/summary.json")):
         if checkpoint.head(path.parent)["finished"]:
-            rows, columns = re.findall(
-                r"resolution=\[(\d+),(\d+)\]", (path.parent / ".hydra/overrides.yaml").read_text()
-            )[0]
-            assert f"[{rows},{columns}]" not in found, "done twice"
-            found[f"[{rows},{columns}]"] = path.parent.name
+            words = (path.parent / ".hydra" / "overrides.yaml").read_text()
+            (name,) = re.findall(r"resolution=(\[\d+,\d+\])", words)
+            assert name not in found, "done twice"
+            found[name] = path.parent.name
     return found
 
 
@@ -121,7 +120,7 @@ def times(directory: Path) -> dict[str, int]:
 
 def test_a_sweep_goes_on_whatever_slurm_does_to_its_jobs(cluster, tmp_path):
     resolutions = ["[12,12]", LARGE, "[14,14]", "[15,15]"]
-    long = ("method.generations=150",)
+    long = ("method.generations=300",)
     directory = tmp_path / "sweep"
     leader = Leader(cluster, sweep(cluster, directory, resolutions, "450M", *long), tmp_path / "first.log")
     until(lambda: len(leader.jobs()) == 4, "the jobs are in the queue")
@@ -157,9 +156,10 @@ def test_a_sweep_goes_on_whatever_slurm_does_to_its_jobs(cluster, tmp_path):
 @pytest.mark.slow
 def test_twenty_jobs_are_done_once_whatever_happens(cluster, tmp_path):
     """Two cancelled, one killed for memory, one requeued, the controller killed and a node drained."""
+    generations = "method.generations=500"
     resolutions = [LARGE, *(f"[{side},{side}]" for side in range(12, 31))]
     directory = tmp_path / "sweep"
-    leader = Leader(cluster, sweep(cluster, directory, resolutions, "450M", "method.generations=150"), tmp_path / "log")
+    leader = Leader(cluster, sweep(cluster, directory, resolutions, "450M", generations), tmp_path / "log")
     until(lambda: len(leader.jobs()) == 20, "the jobs are in the queue")
     array = leader.array()
     cluster.ask("scancel", f"{array}_19")  # which has not begun
@@ -175,9 +175,7 @@ def test_twenty_jobs_are_done_once_whatever_happens(cluster, tmp_path):
     cluster.ask("scontrol", "update", "NodeName=node2", "State=drain", "Reason=test")
     try:
         until(lambda: step(directory / "12") > 10, "the thirteenth job is in the middle")
-        assert re.search(
-            r"node2 drain", cluster.ask("sinfo", "--noheader", "--Node", "--partition=main", "-o", "%N %T")
-        )
+        assert "drain" in cluster.ask("sinfo", "--noheader", "--nodes=node2", "--partition=main", "--format=%T")
         code, text = leader.ended()
     finally:
         cluster.ask("scontrol", "update", "NodeName=node2", "State=resume")
@@ -192,10 +190,8 @@ def test_twenty_jobs_are_done_once_whatever_happens(cluster, tmp_path):
     assert done == {name: str(number) for number, name in enumerate(resolutions) if number not in found}
 
     before, torn = times(directory), step(directory / "4")
-    assert 10 < torn < 150
-    again = Leader(
-        cluster, sweep(cluster, directory, resolutions, "1500M", "method.generations=150"), tmp_path / "next"
-    )
+    assert 10 < torn < 500
+    again = Leader(cluster, sweep(cluster, directory, resolutions, "1500M", generations), tmp_path / "next")
     until(lambda: bool(again.jobs()), "the other jobs are in the queue")
     assert len(again.jobs()) == 3
     code, text = again.ended()
@@ -210,7 +206,7 @@ def test_twenty_jobs_are_done_once_whatever_happens(cluster, tmp_path):
     )
     for number in (1, 4):  # requeued, and cancelled in the middle
         calm = tmp_path / f"calm-{number}"
-        words = [*SMALL, "method.generations=150", f"scenario.resolution={resolutions[number]}", "quiet=true"]
+        words = [*SMALL, generations, f"scenario.resolution={resolutions[number]}", "quiet=true"]
         command = [sys.executable, "-m", "rbfevo", *words, f"hydra.run.dir={calm}"]
         subprocess.run(command, env=cluster.environment, check=True, timeout=300)
         assert_same(directory / str(number), calm)
@@ -265,21 +261,17 @@ def test_a_long_run_goes_on_after_it_was_preempted(cluster, script, tmp_path):
 @pytest.mark.slow
 def test_a_long_run_goes_on_after_its_time_limit_and_ends_when_it_is_cancelled(cluster, script, tmp_path):
     run = tmp_path / "run"
-    limits = ("--time=1", "--signal=TERM@30")  # minutes and seconds
-    job = cluster.submit(*limits, *OURS, str(script), "run", *LONG, "method.generations=1000000", cwd=tmp_path)
+    words = [*LONG, "method.generations=1000000", "checkpoint.every=0"]
+    job = cluster.submit("--time=2", "--signal=TERM@30", *OURS, str(script), "run", *words, cwd=tmp_path)
     log = tmp_path / f"long.sh-{job}.log"
-    continuing = "to continue: python -m rbfevo resume="
-    until(lambda: log.exists() and continuing in log.read_text(), "SLURM has warned of the time limit")
+    until(lambda: log.exists() and "to continue: python -m rbfevo resume=" in log.read_text(), "SLURM has warned")
     at = step(run)
     assert at > 0
     cluster.start_again_now(job)
-    until(lambda: log.read_text().count(continuing) == 2, "SLURM has warned a second time")
-    assert step(run) > at
-    cluster.start_again_now(job)
-    until(lambda: cluster.states()[job] == "RUNNING", "the run goes on once more")
-    until(lambda: log.read_text().count("height field") == 3, "it searches")
+    until(lambda: step(run) > at, "the run goes on")
     cluster.ask("scancel", job)
     until(lambda: cluster.states()[job] in clusters.ENDED, "the run has ended")
-    assert cluster.states()[job] == "CANCELLED"
+    time.sleep(2)
+    assert cluster.states()[job] == "CANCELLED"  # and is not in the queue again
     assert generations(run) == list(range(1, step(run) + 1))
     assert json.loads((run / "summary.json").read_text())["stop_reason"] == "interrupted by SIGTERM"

@@ -356,6 +356,11 @@ def alive(process: int) -> bool:
         return False
 
 
+def begun(run: Path) -> bool:
+    """Whether the run has taken a step."""
+    return (run / checkpoint.NAME).exists() and bool(checkpoint.load(run).get("progress"))
+
+
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="there is no /proc here that lists processes")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
 def test_a_signal_to_the_leader_of_a_joblib_sweep_leaves_nothing_running(number, code, tmp_path):
@@ -365,7 +370,7 @@ def test_a_signal_to_the_leader_of_a_joblib_sweep_leaves_nothing_running(number,
     command = [sys.executable, "-m", "rbfevo", "-m", *words]
     process = subprocess.Popen(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, stderr=-1, text=True)
     end = time.monotonic() + 120
-    while time.monotonic() < end and not all((tmp_path / name / checkpoint.NAME).exists() for name in ("0", "1")):
+    while time.monotonic() < end and not all(map(begun, (tmp_path / "0", tmp_path / "1"))):
         time.sleep(0.1)
     started = below(process.pid)
     assert len(started) >= 2
@@ -419,18 +424,18 @@ def given(directory: Path) -> list[tuple[str, int]]:
     return [(job["gpu"], job["process"]) for job in found]
 
 
-@pytest.mark.parametrize(("gpus", "processes"), [("3,5", 2), ("GPU-a1,GPU-b2", 3), ("7", 2), ("", 2)])
+@pytest.mark.parametrize(("gpus", "processes"), [("GPU-a1,GPU-b2", 3), pytest.param("", 2, marks=pytest.mark.slow)])
 def test_jobs_of_joblib_have_one_gpu_each(gpus, processes, tmp_path):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
     plugged = ROOT / "tests" / "plugged"
     environment = os.environ | {"CUDA_VISIBLE_DEVICES": gpus, "PYTHONPATH": f"{ROOT}{os.pathsep}{plugged}"}
     words = [*NSGA2, f"hydra.searchpath=[file://{plugged}]", "kernel=witness", f"kernel.place={tmp_path}"]
-    words += [f"hydra.sweep.dir={tmp_path / 'sweep'}", "seed=0,1,2,3", "hydra/launcher=joblib"]
+    words += [f"hydra.sweep.dir={tmp_path / 'sweep'}", "seed=0,1,2", "hydra/launcher=joblib"]
     command = [sys.executable, "-m", "rbfevo", "-m", *words, f"hydra.launcher.n_jobs={processes}"]
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     found = given(tmp_path)
-    assert len(found) == 4
+    assert len(found) == 3
     of_process = dict(map(reversed, found))
     assert all(of_process[process] == gpu for gpu, process in found)  # all jobs of a process have the same
     choice = gpus.split(",")
