@@ -33,6 +33,7 @@ class Cluster:
 
     def __init__(self, place: Path) -> None:
         self.place = place
+        self.processes: list[subprocess.Popen[bytes]] = []  # that end with it
         names = [str(Path(sys.executable).parent), os.environ.get("PATH", "")]
         paths = [str(ROOT), os.environ.get("PYTHONPATH", "")]
         self.environment = {
@@ -102,6 +103,9 @@ def running() -> Iterator[Cluster]:
             cluster.start()
             yield cluster
         finally:
+            for process in cluster.processes:
+                process.kill()
+                process.wait()
             cluster.stop()
 
 

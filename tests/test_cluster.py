@@ -79,6 +79,7 @@ class Leader:
         before = set(cluster.states())
         with log.open("w") as file:
             self.process = subprocess.Popen(command, env=cluster.environment, stderr=file, stdout=file, cwd=log.parent)
+        cluster.processes.append(self.process)
         self._cluster, self._before = cluster, before
 
     def jobs(self) -> dict[int, str]:
