@@ -62,12 +62,13 @@ def carry_out(options: argparse.Namespace) -> None:
         raise UserError(
             f"{out} is a single run, whose report.html would be replaced: give the directory above, or --out"
         )
-    groups = sweep.groups(members)
+    lines = sweep.lines(members)
+    groups = sweep.groups(members, lines)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"--out {out} cannot be created: {error.strerror or error}") from None
-    write_whole(out / "runs.csv", sweep.table_of_runs(sweep.lines(members)))
+    write_whole(out / "runs.csv", sweep.table_of_runs(lines))
     write_whole(out / "medians.csv", sweep.table_of_medians(groups))
     files, warnings = ["runs.csv", "medians.csv"], [*(f"left out: {line}" for line in unread), *sweep.warnings(members)]
     curves = sweep.curves(groups)

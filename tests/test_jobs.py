@@ -331,3 +331,128 @@ def test_an_unwritable_place_is_one_line(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="cannot be written"), lock.locked(tmp_path / "file" / "run"):
         pass
+
+
+# --- the main process of a sweep, signalled ---------------------------------------------------------------------------
+
+
+def below(process: int) -> list[int]:
+    """The processes that a process has started, and those that they have."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            text = path.read_text()
+        except OSError:
+            continue
+        if int(text.rpartition(")")[2].split()[1]) == process:
+            found += [int(path.parent.name), *below(int(path.parent.name))]
+    return found
+
+
+def alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def begun(run: Path) -> bool:
+    """Whether the run has taken a step."""
+    return (run / checkpoint.NAME).exists() and bool(checkpoint.load(run).get("progress"))
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="there is no /proc here that lists processes")
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_to_the_leader_of_a_joblib_sweep_leaves_nothing_running(number, code, tmp_path):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    words = [*NSGA2, "method.generations=100000", "checkpoint.every=0", f"hydra.sweep.dir={tmp_path}", "seed=0,1,2,3"]
+    words += ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+    command = [sys.executable, "-m", "rbfevo", "-m", *words]
+    process = subprocess.Popen(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, stderr=-1, text=True)
+    end = time.monotonic() + 120
+    while time.monotonic() < end and not all(map(begun, (tmp_path / "0", tmp_path / "1"))):
+        time.sleep(0.1)
+    started = below(process.pid)
+    assert len(started) >= 2
+    process.send_signal(number)
+    _, text = process.communicate(timeout=60)
+    assert process.returncode == code
+    end = time.monotonic() + 5
+    while time.monotonic() < end and any(map(alive, started)):
+        time.sleep(0.1)
+    assert not [other for other in started if alive(other)]
+    assert "interrupted" in text.splitlines()
+    assert seeds(tmp_path) == {"0": 0, "1": 1}  # their results so far; no other job has begun
+    assert [json.loads((tmp_path / name / "summary.json").read_text())["stop_reason"] for name in ("0", "1")] == [
+        "interrupted by SIGTERM"
+    ] * 2
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == ["0", "1"]
+    with np.load(tmp_path / "0" / "setups.npz") as archive:
+        assert len(archive["regularity"]) == 16
+
+
+def test_a_signal_while_a_sweep_is_collected_ends_that_too(tmp_path):
+    assert sweep(tmp_path, "seed=0,1") == 0
+    slow = "import time, sys; print('begun', flush=True); time.sleep(60)"
+    code = (
+        "import sys; from pathlib import Path; from rbfevo.commands import sweep\n"
+        f"real = sweep.subprocess.Popen\n"
+        f"def popen(command, **keywords): return real([sys.executable, '-c', {slow!r}], **keywords)\n"
+        "sweep.subprocess.Popen = popen\n"
+        "from rbfevo.__main__ import main; sys.exit(main(sys.argv[1:]))"
+    )
+    words = [word for word in NSGA2 if not word.startswith(("figures", "quiet"))]
+    words += [f"hydra.sweep.dir={tmp_path}", "seed=0,1", "figures=true"]
+    process = subprocess.Popen([sys.executable, "-c", code, "-m", *words], cwd=ROOT, stdout=-1, stderr=-1, text=True)
+    assert process.stdout is not None
+    while process.stdout.readline() not in ("begun\n", ""):
+        pass
+    (started,) = below(process.pid)
+    process.send_signal(signal.SIGTERM)
+    _, text = process.communicate(timeout=20)
+    assert process.returncode == 143
+    assert not alive(started)
+    assert f"python -m rbfevo.collect {tmp_path} makes its page" in text
+
+
+# --- GPUs ------------------------------------------------------------------------------------------------------------
+
+
+def given(directory: Path) -> list[tuple[str, int]]:
+    """CUDA_VISIBLE_DEVICES and process of each job, by tests/plugged/kernel/witness.yaml."""
+    found = [json.loads(path.read_text()) for path in directory.glob("seen-*.json")]
+    return [(job["gpu"], job["process"]) for job in found]
+
+
+@pytest.mark.parametrize(("gpus", "processes"), [("GPU-a1,GPU-b2", 3), pytest.param("", 2, marks=pytest.mark.slow)])
+def test_jobs_of_joblib_have_one_gpu_each(gpus, processes, tmp_path):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    plugged = ROOT / "tests" / "plugged"
+    environment = os.environ | {"CUDA_VISIBLE_DEVICES": gpus, "PYTHONPATH": f"{ROOT}{os.pathsep}{plugged}"}
+    words = [*NSGA2, f"hydra.searchpath=[file://{plugged}]", "kernel=witness", f"kernel.place={tmp_path}"]
+    words += [f"hydra.sweep.dir={tmp_path / 'sweep'}", "seed=0,1,2", "hydra/launcher=joblib"]
+    command = [sys.executable, "-m", "rbfevo", "-m", *words, f"hydra.launcher.n_jobs={processes}"]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    found = given(tmp_path)
+    assert len(found) == 3
+    of_process = dict(map(reversed, found))
+    assert all(of_process[process] == gpu for gpu, process in found)  # all jobs of a process have the same
+    choice = gpus.split(",")
+    counts = [list(of_process.values()).count(gpu) for gpu in choice]
+    assert sum(counts) == len(of_process)  # one each, and no other
+    assert max(counts) - min(counts) <= 1  # processes share them evenly
+
+
+def test_the_job_of_slurm_takes_one_of_the_gpus_that_it_sees(monkeypatch):
+    from rbfevo.commands import gpus
+
+    for number, gpu in enumerate(["3", "5", "3"]):
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "3, 5")
+        gpus.choose(number)
+        assert os.environ["CUDA_VISIBLE_DEVICES"] == gpu
+    gpus.choose(7)
+    assert os.environ["CUDA_VISIBLE_DEVICES"] == "3"
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")  # none is to be used
+    gpus.choose(1)
+    assert os.environ["CUDA_VISIBLE_DEVICES"] == ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import subprocess
 import sys
@@ -19,8 +20,10 @@ from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 
 from rbfevo import names
-from rbfevo.commands import jobs, parsers
+from rbfevo.commands import gpus, jobs, parsers
 from rbfevo.commands.composition import Composition, start, write_hydra
+from rbfevo.commands.launching import JOBLIB, SLURM, remaining
+from rbfevo.commands.leader import Leader
 from rbfevo.commands.single import announce, guarded, locked, tidy
 from rbfevo.errors import UserError
 from rbfevo.runs.config import RunConfig, check_top
@@ -33,9 +36,20 @@ def job(config: DictConfig) -> None:
     """One job of a sweep: never raises, so that one failed job does not end the others; its outcome is saved."""
     parsers.steady_streams()  # those of a launcher's process
     current, composition = HydraConfig.get(), Composition.current()
+    launcher = str(current.launcher.get("_target_", "")).rpartition(".")[2]
+    worker = launcher == JOBLIB and not jobs.leads()
+    if worker:
+        jobs.hear_no_signals()
     sweep = Path(composition.cwd, current.sweep.dir)
-    outcome = jobs.Outcome(int(current.job.num), composition.overrides, composition.directory.name, str(sweep), None)
+    outcome = jobs.Outcome(
+        int(current.job.num), composition.overrides, composition.directory.name, str(sweep), None, process=os.getpid()
+    )
     jobs.save(outcome)
+    if (jobs.place() / jobs.STOP).exists():  # looked for after that, so that whoever makes it sees this job
+        jobs.forget(outcome)
+        with contextlib.suppress(OSError):
+            composition.directory.rmdir()
+        return
 
     def work() -> int:
         """Check the settings and carry them out; return the exit code, or SKIPPED."""
@@ -45,11 +59,20 @@ def job(config: DictConfig) -> None:
         return _carry_out_job(config, top, composition, sweep)
 
     code, message = guarded(work)
+    left = None
+    if code > 128 and (launcher == SLURM or code not in jobs.STOPPED):
+        from rbfevo.commands import slurm
+
+        message, left, code = slurm.stopped(code), code, 1
     skipped = code == SKIPPED
     jobs.save(outcome._replace(code=0 if skipped else code, message=message, skipped=skipped))
     if message:
         parsers.complain("rbfevo", f"{outcome.directory}: {message}")
-    if code in jobs.STOPPED:
+    if left is not None:
+        sys.exit(left)  # submitit saves no result, for SLURM may start the job again
+    if code in jobs.STOPPED and worker:
+        (jobs.place() / jobs.STOP).touch()
+    elif code in jobs.STOPPED:
         raise KeyboardInterrupt  # whoever interrupts a sweep means all of it
 
 
@@ -57,27 +80,32 @@ def _carry_out_job(config: DictConfig, top: RunConfig, composition: Composition,
     """Carry out a job where it has worked before, or in a place of its own; an exit code, or SKIPPED."""
     announce(top, composition)
 
+    current = HydraConfig.get()
+    target = str(current.launcher.get("_target_", ""))
+    if target.endswith(JOBLIB):
+        gpus.take(jobs.place())
+    elif "submitit" in target:
+        gpus.choose(int(current.job.num))
+
     import torch
 
     from rbfevo.runs.config import check
     from rbfevo.runs.identity import identity
     from rbfevo.runs.run import carry_out
 
-    current = HydraConfig.get()
     share = jobs.threads(current.launcher)
     if share is not None:
         torch.set_num_threads(share)
-    if torch.cuda.is_available() and torch.cuda.device_count() > 1:
-        torch.cuda.set_device(int(current.job.num) % torch.cuda.device_count())
     settings, numbered = check(config, composition.overrides), composition.directory
     directory, how = jobs.place_of(sweep, numbered, identity(settings, whole=True))
     try:
         if how == "done":
             print(f"{directory.name}: done already ({' '.join(composition.overrides)})", flush=True)
             return SKIPPED
+        stop = jobs.place() / jobs.STOP
         return locked(
             directory,
-            lambda: carry_out(settings, directory, composition.overrides, how == "resume"),
+            lambda: carry_out(settings, directory, composition.overrides, how == "resume", stop),
             lambda: write_hydra(config, directory) if how == "new" else None,
         )
     finally:
@@ -100,34 +128,43 @@ def carry_out_sweep(arguments: list[str]) -> int:
     elif literal:
         sweep = Path(literal[-1])
     else:  # what Hydra has to work out; the outcomes hold it
-        sweep = Path(tempfile.mkdtemp(prefix="rbfevo-"))
+        elsewhere = any("submitit" in argument for argument in arguments)  # jobs on other machines see this one
+        sweep = Path(tempfile.mkdtemp(prefix=".rbfevo-", dir=Path.cwd() if elsewhere else None))
     place = jobs.begin(sweep)
     interrupted, broken = False, ""
-    try:
-        start(job, arguments)
-    except KeyboardInterrupt:
-        interrupted = True
-    except (UserError, hydra.errors.HydraException, OmegaConfBaseException, OSError):
-        if not jobs.outcomes(place):
-            shutil.rmtree(sweep / jobs.STATUS, ignore_errors=True)
-            tidy(sweep)
-            raise
-        broken = "the launcher broke down"
-    except Exception as error:  # a worker of the launcher's that died
-        broken = " ".join(f"{type(error).__name__}: {error}".split())[:300]
-    found = jobs.outcomes(place)
-    shutil.rmtree(sweep / jobs.STATUS, ignore_errors=True)
-    if given and not literal:
+    with Leader(place) as leader:
+        try:
+            with remaining():
+                start(job, arguments)
+        except KeyboardInterrupt:
+            interrupted = True
+        except (UserError, hydra.errors.HydraException, OmegaConfBaseException, OSError) as error:
+            if isinstance(error, UserError) or not jobs.outcomes(place):
+                jobs.end(sweep)
+                tidy(sweep)
+                raise
+            broken = "the launcher broke down"
+        except Exception as error:  # a worker of the launcher's that died
+            broken = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+    queued = (place / jobs.QUEUED).exists()
+    found = [outcome for outcome in jobs.outcomes(place) if outcome.code is not None or not queued]
+    jobs.end(sweep)
+    if given and not literal and not queued:
         shutil.rmtree(sweep, ignore_errors=True)
     for line in [*([f"rbfevo: {broken}"] if broken else []), *jobs.summary(found)]:
         print(line, file=sys.stderr, flush=True)
     codes = [1 if outcome.code is None else outcome.code for outcome in found]
     stops = [code for code in codes if code in jobs.STOPPED]
     if stops or interrupted:
-        return stops[0] if stops else 130
+        return leader.code or (stops[0] if stops else 130)
     done = [outcome for outcome in found if outcome.code == 0]
     if any(outcome.figures for outcome in done):
-        collect(Path(found[0].sweep), all(outcome.quiet for outcome in done))
+        with leader:
+            try:
+                collect(Path(found[0].sweep), all(outcome.quiet for outcome in done))
+            except KeyboardInterrupt:
+                parsers.complain("rbfevo", f"interrupted; python -m rbfevo.collect {found[0].sweep} makes its page")
+                return leader.code or 130
     return max([*codes, int(bool(broken))], default=0)
 
 

@@ -6,6 +6,8 @@ Figures, picks and fits read a run through this module alone, so that they work 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import io
 import json
 import zipfile
 from pathlib import Path
@@ -224,8 +226,11 @@ class Record:
         return f"{entry('scenario', 'unknown')} · {kernel} · {entry('manipulation', 'unknown')} manipulation"
 
 
-def read(run: Path) -> Record:
+def read(run: Path, meshes: dict[bytes, dict[str, Array]] | None = None) -> Record:
     """Read setups.npz, scenario.npz and summary.json of the run directory `run`.
+
+    Args:
+        meshes: the arrays of each scenario.npz that was read before, by a hash of the file; equal files share them.
 
     Raises:
         UserError: if one of them is missing, unreadable, or does not fit the others.
@@ -235,7 +240,7 @@ def read(run: Path) -> Record:
     optional = ("variability", "genotype", "bounded_potential", "label", *OF_EACH)
     setups = _arrays(run / "setups.npz", SETUPS, optional)
     of_vertices = ("stays", "blend", "held", "gradient_raw", "gradients", "max_displacement")
-    scenario = _arrays(run / "scenario.npz", SCENARIO, of_vertices)
+    scenario = _arrays(run / "scenario.npz", SCENARIO, of_vertices, meshes)
     stays = scenario.pop("stays", None)
     summary = _load(run / "summary.json", lambda path: json.loads(path.read_text(encoding="utf-8")))
     p, n = len(setups["regularity"]), len(scenario["vertices"])
@@ -336,10 +341,22 @@ def knee(record: Record) -> int | None:
     return int(rows[knee_of(scores)])
 
 
-def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
+def _arrays(
+    path: Path,
+    names: tuple[str, ...],
+    optional: tuple[str, ...] = (),
+    shared: dict[bytes, dict[str, Array]] | None = None,
+) -> dict[str, Array]:
     def load(path: Path) -> dict[str, Array]:
-        with np.load(path, allow_pickle=False) as archive:
-            return {name: archive[name] for name in (*names, *(name for name in optional if name in archive))}
+        content = path.read_bytes()
+        known = hashlib.blake2b(content).digest()
+        if shared is not None and known in shared:
+            return dict(shared[known])
+        with np.load(io.BytesIO(content), allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in (*names, *(name for name in optional if name in archive))}
+        if shared is not None:
+            shared[known] = arrays
+        return dict(arrays)
 
     return _load(path, load)
 

@@ -1,22 +1,49 @@
-"""What Ctrl-C and a batch system's signal do to a run."""
+"""What Ctrl-C, a batch system's signals and the main process of a sweep do to a run."""
 
 from __future__ import annotations
 
 import signal
+import time
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
+WARNING = getattr(signal, "SIGUSR2", None)  # submitit's, before SLURM ends a job; there is none on Windows
+LOOK = 0.2  # seconds between looks for the file
+
 
 class Interruption:
-    """Turns the first SIGINT or SIGTERM into a flag that a run looks at between steps; the second ends the process."""
+    """Turns the first SIGINT or SIGTERM into a flag that a run looks at between steps; the second ends the process.
 
-    def __init__(self) -> None:
-        self.signal: int | None = None
+    SIGUSR2 does the same where something handles it, as submitit does to put a job into SLURM's queue again: that is
+    left to whoever started the run. Other signals come along with it, and do not end the process.
+
+    Args:
+        stop: a file that counts as SIGTERM once it exists; it can come along with signals.
+    """
+
+    def __init__(self, stop: Path | None = None) -> None:
+        self._received: int | None = None
         self._before: dict[int, Any] = {}
+        self._stop, self._stopped, self._looked = stop, False, -LOOK
+
+    @property
+    def signal(self) -> int | None:
+        """The signal that asks the run to stop, None without one."""
+        if self._stop is not None and not self._stopped and time.monotonic() - self._looked >= LOOK:
+            self._stopped, self._looked = self._stop.exists(), time.monotonic()
+        return signal.SIGTERM if self._received is None and self._stopped else self._received
+
+    @signal.setter
+    def signal(self, number: int) -> None:
+        self._received = number
 
     def __enter__(self) -> Interruption:
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        if WARNING is not None and callable(signal.getsignal(WARNING)):
+            numbers.append(WARNING)
         try:
-            for number in (signal.SIGINT, signal.SIGTERM):
+            for number in numbers:
                 self._before[number] = signal.signal(number, self._note)
         except ValueError:  # not the main thread: whoever runs us there decides
             pass
@@ -27,7 +54,8 @@ class Interruption:
             signal.signal(number, handler)
 
     def _note(self, number: int, _frame: FrameType | None) -> None:
-        if self.signal is not None:
+        if number == WARNING or self._received is None:
+            self._received = number
+        elif self._received != WARNING:
             signal.signal(number, signal.SIG_DFL)
             signal.raise_signal(number)
-        self.signal = number

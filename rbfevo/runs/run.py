@@ -248,18 +248,27 @@ class Run(Parts):
             reporter.line(f"the first {number} of {len(picked)} centers reach {share}")
 
 
-def carry_out(settings: Settings, directory: Path, arguments: Sequence[str] = (), resume: bool = False) -> int:
-    """Carry out one run into its directory; return 0, or 130 and 143 after SIGINT and SIGTERM.
+def carry_out(
+    settings: Settings,
+    directory: Path,
+    arguments: Sequence[str] = (),
+    resume: bool = False,
+    stop: Path | None = None,
+) -> int:
+    """Carry out one run into its directory; return 0, or 128 and the number of the signal that stopped it.
+
+    That is 130 for SIGINT and 143 for SIGTERM.
 
     Args:
         settings: checked settings; directory: where everything goes; it is locked meanwhile.
         arguments: the command line that the settings come from, for the checkpoint.
         resume: go on from the checkpoint in the directory.
+        stop: a file that stops the run as SIGTERM does, once it exists.
 
     Raises:
         UserError: for a user's mistake; what had been found by then is written all the same.
     """
-    with locked(directory), Interruption() as interruption, coarse() as threads:
+    with locked(directory), Interruption(stop) as interruption, coarse() as threads:
         clear_unfinished(directory)
         saved = checkpoint_for(settings, directory) if resume else None
         if not resume:
@@ -294,9 +303,10 @@ def carry_out(settings: Settings, directory: Path, arguments: Sequence[str] = ()
         finally:
             reporter.close()
         run.save(directory, reporter, journal)
-        if interruption.signal is None:
+        stopped = interruption.signal
+        if stopped is None:
             run.keep(journal, reporter, finished=True)
             journal.close()
         else:
             reporter.line(f"to continue: python -m rbfevo {resuming(directory)}")
-    return 0 if interruption.signal is None else 128 + interruption.signal
+    return 0 if stopped is None else 128 + stopped

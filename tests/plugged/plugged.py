@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+import time
+import uuid
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -108,3 +113,11 @@ class Walk(Method):
     def fits(self, steps: int) -> bool:
         """A step does not know how many there will be."""
         return True
+
+
+def witness(dimension: int, default_support: float, diagonal: float, place: str) -> Kernel:
+    """A kernel that writes down which GPU its job sees, and lets others begin meanwhile."""
+    time.sleep(2)
+    seen = {"gpu": os.environ.get("CUDA_VISIBLE_DEVICES"), "process": os.getpid()}
+    Path(place, f"seen-{uuid.uuid4().hex}.json").write_text(json.dumps(seen))
+    return Gaussian(0.3)

@@ -9,9 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from rbfevo.arrays import Array
 from rbfevo.errors import UserError
@@ -21,6 +18,7 @@ from rbfevo.figures.report.surface import surface_of
 from rbfevo.figures.series import HEURISTICS, kinds, series
 from rbfevo.figures.space import stretch
 from rbfevo.figures.view import standpoint
+from rbfevo.recorded import hydra_files
 from rbfevo.recorded.record import Record
 from rbfevo.recorded.setup import Setup, setup
 
@@ -307,9 +305,7 @@ def made(run: Shown) -> dict[str, Any]:
 def command(directory: Path) -> str | None:
     """The command that made a run, as Hydra recorded it; None if there is no record."""
     try:
-        saved = OmegaConf.to_container(OmegaConf.load(directory / ".hydra" / "overrides.yaml"))
-    except (OSError, ValueError, YAMLError, OmegaConfBaseException):
+        saved = hydra_files.overrides(directory)
+    except UserError:
         return None
-    if not isinstance(saved, list):
-        return None
-    return shlex.join(["python", "-m", "rbfevo", *map(str, saved)])
+    return None if saved is None else shlex.join(["python", "-m", "rbfevo", *saved])

@@ -11,13 +11,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from rbfevo.arrays import Array
 from rbfevo.choices import WITHOUT_EFFECT
 from rbfevo.errors import UserError
+from rbfevo.recorded import hydra_files
 from rbfevo.recorded.record import PLAIN, Record, read
 
 # How and where a run was carried out: settings on which its results do not depend.
@@ -83,13 +81,19 @@ def members(directory: Path) -> tuple[list[Member], list[str]]:
     found: list[Member] = []
     unread: list[str] = []
     meshes: dict[str, dict[str, Array]] = {}
+    files: dict[bytes, dict[str, Array]] = {}
+    known: dict[tuple[Any, ...], str] = {}
     for path, reason in _walk(directory, set()):
         name = path.relative_to(directory).as_posix()
         try:
             if reason is not None:
                 raise UserError(reason)
-            record = read(path)
-            settings = _settings(record, path)
+            record = read(path, files)
+            arrays = (record.vertices, record.faces, record.gradient, record.weights, record.blend)
+            same = (*map(id, arrays), record.potential_name)  # of arrays that `files` keeps
+            if same not in known:
+                known[same] = mesh_of(record)
+            settings = _settings(record, path, known[same])
         except UserError as error:
             unread.append(f"{name}: {error}")
             continue
@@ -102,21 +106,15 @@ def members(directory: Path) -> tuple[list[Member], list[str]]:
     return found, unread
 
 
-def _settings(record: Record, run: Path) -> dict[str, Any]:
+def _settings(record: Record, run: Path, mesh: str) -> dict[str, Any]:
     """The settings of one run: from summary.json, and all others from .hydra/config.yaml if it exists."""
     entry = record.summary.get
     settings = {key: entry(key) for key in ("scenario", "kernel", "support", "manipulation", "method")}
-    settings |= {"centers": int(record.centers.shape[1]), "seed": entry("seed"), "mesh": mesh_of(record)}
-    path = run / ".hydra" / "config.yaml"
-    if path.is_file():
-        try:
-            config = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-        except (OSError, ValueError, YAMLError, OmegaConfBaseException) as error:
-            raise UserError(f"{path} cannot be read: damaged? ({' '.join(str(error).split())})") from None
-        leaves = dict(_leaves(config)) if isinstance(config, dict) else {}
-        if leaves.get("criterion.norm") == 2:  # as of runs from before there were others
-            del leaves["criterion.norm"]
-        settings |= {key: leaf for key, leaf in leaves.items() if key not in settings and key not in IRRELEVANT}
+    settings |= {"centers": int(record.centers.shape[1]), "seed": entry("seed"), "mesh": mesh}
+    leaves = dict(_leaves(hydra_files.configuration(run) or {}))
+    if leaves.get("criterion.norm") == 2:  # as of runs from before there were others
+        del leaves["criterion.norm"]
+    settings |= {key: leaf for key, leaf in leaves.items() if key not in settings and key not in IRRELEVANT}
     return settings
 
 

@@ -210,15 +210,18 @@ def _staircase(R: Array, P: Array) -> tuple[Array, Array, Array]:
     return levels, np.maximum.accumulate(highest[::-1])[::-1], level
 
 
-def groups(members: Sequence[Member]) -> list[Group]:
-    """The lines whose settings and series are the same, all but the seed; in the order in which they first occur."""
-    keys, vary = _columns(members), tuple(varying(members))
+def groups(members: Sequence[Member], found: Sequence[Line] | None = None) -> list[Group]:
+    """The lines whose settings and series are the same, all but the seed; in the order in which they first occur.
+
+    Args:
+        found: `lines(members)`, if there are any already.
+    """
+    vary = tuple(varying(members))
     gathered: dict[tuple[Any, ...], list[Line]] = {}
     records = {member.name: member.record for member in members}
-    for member in members:
-        for line in _lines(member, keys):
-            alike = (line.settings["mesh"], *(line.settings[key] for key in vary), line.series)
-            gathered.setdefault(alike, []).append(line)
+    for line in lines(members) if found is None else found:
+        alike = (line.settings["mesh"], *(line.settings[key] for key in vary), line.series)
+        gathered.setdefault(alike, []).append(line)
     return [
         Group(
             settings=found[0].settings,
