@@ -120,4 +120,4 @@ def witness(dimension: int, default_support: float, diagonal: float, place: str)
     time.sleep(2)
     seen = {"gpu": os.environ.get("CUDA_VISIBLE_DEVICES"), "process": os.getpid()}
     Path(place, f"seen-{uuid.uuid4().hex}.json").write_text(json.dumps(seen))
-    return Gaussian(0.3)
+    return Bell(0.3)
