@@ -53,7 +53,7 @@ def opened(browser: Browser, file: Path, place: str = "", **options: Any) -> Ite
     complaints: list[str] = []
     try:
         page = context.new_page()
-        page.set_default_timeout(60_000)
+        page.set_default_timeout(180_000)  # on a busy machine
         page.on("console", lambda message: complaints.append(f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: complaints.append(f"error: {error}"))
         page.on("request", lambda request: complaints.append(f"request: {request.url}"))
