@@ -19,9 +19,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from rbfevo.files import write_whole
+from rbfevo.recorded import hydra_files
 from rbfevo.runs import checkpoint
 from rbfevo.runs.config import check
 from rbfevo.runs.identity import identity
@@ -35,9 +36,10 @@ def made(directory: Path, count: int) -> None:
     """Make the runs of a sweep over the seeds 0, 1, ..."""
     rbfevo("rbfevo", "-m", *RUN, "seed=0", f"hydra.sweep.dir={directory}")
     first = directory / "0"
-    config = OmegaConf.load(first / ".hydra" / "config.yaml")
-    words = list(OmegaConf.load(first / ".hydra" / "overrides.yaml"))
-    settings, state = check(OmegaConf.create({**config}), words), checkpoint.load(first)
+    config, words = OmegaConf.load(first / ".hydra" / "config.yaml"), hydra_files.overrides(first)
+    assert isinstance(config, DictConfig)
+    assert words is not None
+    settings, state = check(config.copy(), words), checkpoint.load(first)
     summary = json.loads((first / "summary.json").read_text())
     for seed in range(1, count):
         run = directory / str(seed)

@@ -79,16 +79,13 @@ class Cluster:
         return self.ask("sbatch", "--parsable", *words, cwd=cwd).strip()
 
     def start_again_now(self, job: str) -> None:
-        """Wait until a job is back in the queue, and let it start without the two minutes that SLURM keeps it there."""
+        """Wait until a job is back in the queue, and take back the two minutes that SLURM lets it wait there."""
 
-        def started() -> bool:
-            state = self.states()[job]
-            if state == "PENDING":
-                self.ask("scontrol", "update", f"JobId={job}", "StartTime=now")
-                time.sleep(1)
-            return state in ("RUNNING", "COMPLETED")
+        def delayed() -> bool:
+            return "BeginTime" in self.ask("squeue", "--noheader", f"--jobs={job}", "--states=pending", "--format=%r")
 
-        until(started, f"job {job} has started again")
+        until(delayed, f"job {job} is in the queue again")
+        self.ask("scontrol", "update", f"JobId={job}", "StartTime=now")
 
 
 @contextlib.contextmanager

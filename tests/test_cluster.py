@@ -221,6 +221,49 @@ def test_twenty_jobs_are_done_once_whatever_happens(cluster, tmp_path):
     assert all(f"scenario.resolution={name}" in page for name in resolutions)
 
 
+def alone(cluster: Cluster, before: set[str]) -> str:
+    """The id of the only job since then."""
+    until(lambda: len(set(cluster.states()) - before) == 1, "the job is in the queue")
+    return next(iter(set(cluster.states()) - before))
+
+
+@pytest.mark.slow
+def test_a_job_that_is_preempted_goes_on(cluster, tmp_path):
+    before, directory = set(cluster.states()), tmp_path / "sweep"
+    words = ("hydra.launcher.partition=low", "method.generations=500")
+    leader = Leader(cluster, sweep(cluster, directory, ["[12,12]"], "1G", *words), tmp_path / "log")
+    job = alone(cluster, before)
+    until(lambda: step(directory / "0") > 10, "the job is in the middle")
+    other = cluster.submit("--partition=high", "--nodes=2", "--exclusive", "--wrap=sleep 1", cwd=tmp_path)
+    until(lambda: cluster.states()[other] == "COMPLETED", "the job that comes first has run")
+    assert 10 < step(directory / "0") < 500
+    assert leader.process.poll() is None  # it waits
+    cluster.start_again_now(job)
+    code, text = leader.ended()
+    assert code == 0, text
+    assert finished(directory) == {"[12,12]": "0"}
+    assert generations(directory / "0") == list(range(1, 501))
+
+
+@pytest.mark.slow
+def test_a_job_goes_on_after_its_time_limit_as_often_as_it_may(cluster, tmp_path):
+    before, directory = set(cluster.states()), tmp_path / "sweep"
+    words = ("hydra.launcher.timeout_min=2", "hydra.launcher.signal_delay_s=45", "hydra.launcher.max_num_timeout=1")
+    leader = Leader(
+        cluster, sweep(cluster, directory, ["[12,12]"], "1G", *words, "method.generations=1000000"), tmp_path / "log"
+    )
+    job = alone(cluster, before)
+    until(lambda: step(directory / "0") > 10, "the job is in the middle")
+    until(lambda: cluster.states()[job] == "PENDING", "it is in the queue again")
+    at = step(directory / "0")
+    cluster.start_again_now(job)
+    until(lambda: step(directory / "0") > at, "it goes on")
+    code, text = leader.ended()
+    assert code == 1, text
+    assert "(the only job): it reached its time limit, its results so far are saved" in text
+    assert generations(directory / "0") == list(range(1, step(directory / "0") + 1))
+
+
 # --- one long run ----------------------------------------------------------------------------------------------------
 
 

@@ -436,7 +436,7 @@ def test_jobs_of_joblib_have_one_gpu_each(gpus, processes, tmp_path):
     assert done.returncode == 0, done.stderr
     found = given(tmp_path)
     assert len(found) == 3
-    of_process = dict(map(reversed, found))
+    of_process = {process: gpu for gpu, process in found}
     assert all(of_process[process] == gpu for gpu, process in found)  # all jobs of a process have the same
     choice = gpus.split(",")
     counts = [list(of_process.values()).count(gpu) for gpu in choice]
