@@ -86,7 +86,8 @@ def test_an_export_deforms_as_the_formula_does_and_can_be_rebuilt(name: str, run
     arguments = [str(runs / name), "--pick", "knee", "--displacements", str(out / "displacements.csv"), "--quiet"]
     arguments += ["--mesh", str(out / "template.vtp"), "--out", str(out / "moved.vtp")]
     assert apply.main(arguments) == 0
-    template, moved = (pv.read(out / file) for file in ("template.vtp", "moved.vtp"))
+    template: Any = pv.read(out / "template.vtp")
+    moved: Any = pv.read(out / "moved.vtp")
     reached = np.asarray(moved.points) - np.asarray(template.points)
     np.testing.assert_allclose(reached, template["reached"], atol=1e-7)
     _, weights = table(out / "weights.csv")
