@@ -84,8 +84,14 @@ class Cluster:
         def delayed() -> bool:
             return "BeginTime" in self.ask("squeue", "--noheader", f"--jobs={job}", "--states=pending", "--format=%r")
 
+        def released() -> bool:
+            if delayed():
+                self.ask("scontrol", "update", f"JobId={job}", "StartTime=now")
+                time.sleep(3)  # as long as the job's last processes are ending, SLURM sets the time anew
+            return not delayed()
+
         until(delayed, f"job {job} is in the queue again")
-        self.ask("scontrol", "update", f"JobId={job}", "StartTime=now")
+        until(released, f"job {job} need not wait")
 
 
 @contextlib.contextmanager

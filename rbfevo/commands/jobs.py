@@ -113,7 +113,9 @@ def place() -> Path:
 def save(outcome: Outcome) -> None:
     """Save the outcome of a job."""
     place().mkdir(parents=True, exist_ok=True)
-    write_whole(place() / f"{outcome.number}.json", json.dumps(outcome._asdict()).encode())
+    made = place() / f".{uuid.uuid4().hex}"  # without waiting for the disk: it need not outlive a power cut
+    made.write_text(json.dumps(outcome._asdict()))
+    made.replace(place() / f"{outcome.number}.json")
 
 
 def forget(outcome: Outcome) -> None:
