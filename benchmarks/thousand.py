@@ -36,10 +36,10 @@ def made(directory: Path, count: int) -> None:
     """Make the runs of a sweep over the seeds 0, 1, ..."""
     rbfevo("rbfevo", "-m", *RUN, "seed=0", f"hydra.sweep.dir={directory}")
     first = directory / "0"
-    config, words = OmegaConf.load(first / ".hydra" / "config.yaml"), hydra_files.overrides(first)
+    config, overrides = OmegaConf.load(first / ".hydra" / "config.yaml"), hydra_files.overrides(first)
     assert isinstance(config, DictConfig)
-    assert words is not None
-    settings, state = check(config.copy(), words), checkpoint.load(first)
+    assert overrides is not None
+    settings, state = check(config.copy(), overrides), checkpoint.load(first)
     summary = json.loads((first / "summary.json").read_text())
     for seed in range(1, count):
         run = directory / str(seed)
@@ -47,11 +47,11 @@ def made(directory: Path, count: int) -> None:
         for path in first.iterdir():
             if path.is_file() and path.name not in CHANGED:
                 shutil.copyfile(path, run / path.name)
-        own = [f"seed={seed}" if word == "seed=0" else word for word in words]
+        own = [f"seed={seed}" if override == "seed=0" else override for override in overrides]
         config.seed = seed
         changed = dataclasses.replace(settings, seed=seed)
         hashes = {"settings": identity(changed), "whole": identity(changed, whole=True)}
-        checkpoint.save(run, {**state, **hashes, "words": own})
+        checkpoint.save(run, {**state, **hashes, "overrides": own})
         write_whole(run / "summary.json", json.dumps({**summary, "seed": seed}).encode())
         write_whole(run / ".hydra" / "config.yaml", OmegaConf.to_yaml(config).encode())
         write_whole(run / ".hydra" / "overrides.yaml", OmegaConf.to_yaml(own).encode())
@@ -65,12 +65,12 @@ class Measured(NamedTuple):
     text: str
 
 
-def rbfevo(*words: str) -> Measured:
+def rbfevo(*overrides: str) -> Measured:
     """Carry out a command of the package."""
     begun, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run([sys.executable, "-m", *words], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-m", *overrides], capture_output=True, text=True, check=False)
     if done.returncode:
-        raise SystemExit(f"python -m {' '.join(words)}: {done.stderr}")
+        raise SystemExit(f"python -m {' '.join(overrides)}: {done.stderr}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     processor = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return Measured(time.perf_counter() - begun, processor, done.stdout + done.stderr)

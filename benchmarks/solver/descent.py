@@ -10,7 +10,7 @@ import shutil
 from pathlib import Path
 from typing import Any, Protocol
 
-from benchmarks.solver.flow import MeshError, Solution
+from benchmarks.solver.design import MeshError, Solution
 from rbfevo.arrays import Array
 from rbfevo.descent import Descent, Line, State
 from rbfevo.errors import UserError

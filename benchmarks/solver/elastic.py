@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.choosing import ROOT
-from benchmarks.solver.flow import MeshError, Solution
+from benchmarks.solver.design import MeshError, Solution, followed
 from rbfevo import meshes
 from rbfevo.arrays import Array
-from rbfevo.commands import doubts, volume
-from rbfevo.errors import UserError
 from rbfevo.meshes.constraints import solid_faces
 from rbfevo.meshes.quality import qualities
 from rbfevo.recorded.record import Record
@@ -55,22 +53,6 @@ class Elastic:
         quality = qualities(self.mesh.points, points, self.faces)[1]
         return Solution(found.compliance + self.price * found.volume, slope[self.rows], *quality)
 
-    def displaced(self, record: Record, chosen: Setup, weights: Array) -> Array:
-        """The nodes under weights [m, 3] of a setup.
-
-        Raises:
-            MeshError: if cells turn inside out.
-        """
-        points = self.mesh.points
-        displacement = chosen.displacement(points, weights)
-        try:
-            moved = points + volume.carried(self.mesh, self.faces, record, chosen, displacement).displacement
-        except UserError as error:
-            raise MeshError(str(error)) from None
-        if turned := doubts.inverted(self.mesh, moved):
-            raise MeshError(turned)
-        return moved
-
     def solve(self, record: Record, chosen: Setup, weights: Array, at: Path, before: Path | None = None) -> Solution:
         """Solve the design under weights [m, 3] of a setup; `at` is made, and holds nothing.
 
@@ -78,7 +60,7 @@ class Elastic:
             MeshError: if cells turn inside out.
         """
         at.mkdir(parents=True, exist_ok=True)
-        moved = self.displaced(record, chosen, weights)
+        moved = followed(self.mesh, self.faces, record, chosen, weights)
         try:
             return self._solution(self.case.body.solve(moved), moved)
         except self.error as error:

@@ -9,14 +9,14 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from benchmarks.choosing import ROOT
+from benchmarks.solver.design import MeshError, Solution, followed
 from rbfevo import meshes
 from rbfevo.arrays import Array
-from rbfevo.commands import doubts, volume
 from rbfevo.errors import UserError
 from rbfevo.meshes.constraints import solid_faces
 from rbfevo.meshes.openfoam.case import times
@@ -27,25 +27,8 @@ from rbfevo.scenarios.templates import read_template
 
 EXAMPLES = ROOT / "examples" / "openfoam"
 DEBIAN = Path("/usr/share/openfoam")
+STEEPEST = 85.0  # degrees of non-orthogonality of a mesh that is solved
 FIELDS = ("U", "p", "Ua", "pa")
-
-
-class Solution(NamedTuple):
-    """What the solver makes of a design.
-
-    Attributes:
-        objective: J, minimized; sensitivity: [n, 3] dJ/dx at the vertices of the design surface.
-        orthogonality, skewness: the worst of the volume mesh.
-    """
-
-    objective: float
-    sensitivity: Array
-    orthogonality: float
-    skewness: float
-
-
-class MeshError(Exception):
-    """The volume mesh cannot follow a design; the solver is not run."""
 
 
 class Flow:
@@ -100,15 +83,10 @@ class Flow:
             MeshError: if cells turn inside out.
             subprocess.CalledProcessError: if the solver fails.
         """
-        points = self.mesh.points
-        displacement = chosen.displacement(points, weights)
-        try:
-            moved = points + volume.carried(self.mesh, self.faces, record, chosen, displacement).displacement
-        except UserError as error:
-            raise MeshError(str(error)) from None
+        points, moved = self.mesh.points, followed(self.mesh, self.faces, record, chosen, weights)
         quality = qualities(points, moved, self.faces)[1]
-        if doubts.inverted(self.mesh, moved) or quality.non_orthogonality > 85.0:
-            raise MeshError(f"cells turn inside out, or faces over: {quality.non_orthogonality:.0f} degrees")
+        if quality.non_orthogonality > STEEPEST:
+            raise MeshError(f"faces turn over: {quality.non_orthogonality:.0f} degrees")
         shutil.rmtree(at, ignore_errors=True)
         at.mkdir(parents=True)
         for part in ("constant", "system", "0"):

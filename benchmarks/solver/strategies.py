@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.solver.design import MeshError
 from benchmarks.solver.elastic import Elastic
-from benchmarks.solver.flow import MeshError
 from benchmarks.solver.plan import Chosen
 from rbfevo.recorded.parameters import Parameters
 

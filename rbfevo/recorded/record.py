@@ -122,7 +122,7 @@ class Record:
 
     @property
     def kept(self) -> int:
-        """How many centers, the first ones of each setup, the run was told to keep."""
+        """How many centers, the first ones of each setup, the run kept."""
         kept = self.summary.get("kept", 0)
         return kept if isinstance(kept, int) else 0
 
