@@ -69,6 +69,25 @@ class Cluster:
         """Kill slurmctld, as a power cut does."""
         os.kill(int((self.place / "slurmctld.pid").read_text()), signal.SIGKILL)
 
+    def cut_power(self, node: str) -> None:
+        """Kill a node and all jobs, and tell SLURM that the node is down, which it notices itself after minutes."""
+        own, processes = f"SLURM_CONF={self.place / 'slurm.conf'}", [int((self.place / f"{node}.pid").read_text())]
+        for path in Path("/proc").glob("[0-9]*"):
+            with contextlib.suppress(OSError):
+                environment = (path / "environ").read_bytes().decode(errors="replace").split("\0")
+                of_job = any(line.startswith("SLURM_JOB_ID=") for line in environment)
+                if own in environment and (of_job or (path / "cmdline").read_bytes().startswith(b"slurmstepd")):
+                    processes.append(int(path.name))
+        for process in processes:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
+        self.ask("scontrol", "update", f"NodeName={node}", "State=down", "Reason=test")
+
+    def start_node(self, node: str) -> None:
+        """Start a node again that has failed; SLURM then takes it back."""
+        (self.place / f"{node}.pid").unlink(missing_ok=True)
+        self.start()
+
     def states(self) -> dict[str, str]:
         """The states of all jobs, by their ids, such as 12 or 12_3."""
         lines = self.ask("squeue", "--noheader", "--array", "--states=all", "--format=%i %T").splitlines()
@@ -112,7 +131,7 @@ def running() -> Iterator[Cluster]:
             cluster.stop()
 
 
-def until(holds: Callable[[], bool], what: str, seconds: float = 180) -> None:
+def until(holds: Callable[[], bool], what: str, seconds: float = 300) -> None:
     """Wait until something holds."""
     end = time.monotonic() + seconds
     while not holds():

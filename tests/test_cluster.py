@@ -154,6 +154,45 @@ def test_a_sweep_goes_on_whatever_slurm_does_to_its_jobs(cluster, tmp_path):
     assert_same(directory / "0", tmp_path / "calm")
 
 
+def test_a_sweep_on_slurm_makes_its_page(cluster, tmp_path):
+    words = ["scenario=plane", "scenario.resolution=[12,12]", "centers=4", "method=lloyd", "seed=0,1", "quiet=true"]
+    memory = "+hydra.launcher.additional_parameters.mem=1500M"
+    command = cluster.command(sys.executable, "-m", "rbfevo", "-m", *words, *LAUNCHER, memory)
+    code, text = Leader(cluster, [*command, f"hydra.sweep.dir={tmp_path / 'sweep'}"], tmp_path / "log").ended()
+    assert code == 0, text
+    with (tmp_path / "sweep" / "runs.csv").open() as file:
+        assert {line["run"] for line in csv.DictReader(file)} == {"0", "1"}
+    page = (tmp_path / "sweep" / "report.html").read_text()
+    assert all(f"seed={seed}" in page for seed in (0, 1))
+    assert all((tmp_path / "sweep" / run / "front.png").stat().st_size > 10_000 for run in "01")
+
+
+@pytest.mark.slow
+def test_a_job_whose_node_fails_goes_on_elsewhere(cluster, tmp_path):
+    before, directory = set(cluster.states()), tmp_path / "sweep"
+    leader = Leader(cluster, sweep(cluster, directory, ["[12,12]"], "1G", "method.generations=500"), tmp_path / "log")
+    job = alone(cluster, before)
+    until(lambda: step(directory / "0") > 10, "the job is in the middle")
+    node = cluster.ask("squeue", "--noheader", f"--jobs={job}", "--format=%N").strip()
+    cluster.cut_power(node)
+    try:
+        until(lambda: cluster.states()[job] == "PENDING", "it is in the queue again")
+        assert 10 < step(directory / "0") < 500
+        cluster.start_again_now(job)
+        until(lambda: cluster.states()[job] == "RUNNING", "it runs again")
+        assert cluster.ask("squeue", "--noheader", f"--jobs={job}", "--format=%N").strip() not in ("", node)
+        code, text = leader.ended()
+    finally:
+        cluster.start_node(node)
+    assert code == 0, text
+    assert finished(directory) == {"[12,12]": "0"}
+    assert generations(directory / "0") == list(range(1, 501))
+    words = [*SMALL, "method.generations=500", "scenario.resolution=[12,12]", "quiet=true"]
+    command = [sys.executable, "-m", "rbfevo", *words, f"hydra.run.dir={tmp_path / 'calm'}"]
+    subprocess.run(command, env=cluster.environment, check=True, timeout=300)
+    assert_same(directory / "0", tmp_path / "calm")
+
+
 @pytest.mark.slow
 def test_twenty_jobs_are_done_once_whatever_happens(cluster, tmp_path):
     """Two cancelled, one killed for memory, one requeued, the controller killed and a node drained."""

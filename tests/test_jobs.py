@@ -361,19 +361,28 @@ def begun(run: Path) -> bool:
     return (run / checkpoint.NAME).exists() and bool(checkpoint.load(run).get("progress"))
 
 
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="there is no /proc here that lists processes")
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
-def test_a_signal_to_the_leader_of_a_joblib_sweep_leaves_nothing_running(number, code, tmp_path):
+PROC = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="there is no /proc here that lists processes")
+
+
+def leader(directory: Path) -> tuple[subprocess.Popen[str], list[int]]:
+    """The main process of a joblib sweep, two of whose four long jobs are in the middle, and those it has started."""
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
-    words = [*NSGA2, "method.generations=100000", "checkpoint.every=0", f"hydra.sweep.dir={tmp_path}", "seed=0,1,2,3"]
+    words = [*NSGA2, "method.generations=100000", "checkpoint.every=0", f"hydra.sweep.dir={directory}", "seed=0,1,2,3"]
     words += ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
     command = [sys.executable, "-m", "rbfevo", "-m", *words]
     process = subprocess.Popen(command, cwd=ROOT, env=os.environ | {"OMP_NUM_THREADS": "1"}, stderr=-1, text=True)
     end = time.monotonic() + 120
-    while time.monotonic() < end and not all(map(begun, (tmp_path / "0", tmp_path / "1"))):
+    while time.monotonic() < end and not all(map(begun, (directory / "0", directory / "1"))):
         time.sleep(0.1)
     started = below(process.pid)
     assert len(started) >= 2
+    return process, started
+
+
+@PROC
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_signal_to_the_leader_of_a_joblib_sweep_leaves_nothing_running(number, code, tmp_path):
+    process, started = leader(tmp_path)
     process.send_signal(number)
     _, text = process.communicate(timeout=60)
     assert process.returncode == code
@@ -389,6 +398,22 @@ def test_a_signal_to_the_leader_of_a_joblib_sweep_leaves_nothing_running(number,
     assert sorted(path.name for path in tmp_path.iterdir() if path.is_dir()) == ["0", "1"]
     with np.load(tmp_path / "0" / "setups.npz") as archive:
         assert len(archive["regularity"]) == 16
+
+
+@PROC
+def test_the_jobs_of_a_joblib_sweep_end_when_its_leader_is_killed(tmp_path):
+    process, started = leader(tmp_path)
+    process.kill()
+    end = time.monotonic() + 60
+    while time.monotonic() < end and any(map(alive, started)):
+        time.sleep(0.1)
+    assert not [other for other in started if alive(other)]
+    assert seeds(tmp_path) == {"0": 0, "1": 1}  # their results so far; no other job has begun
+    assert {json.loads((tmp_path / name / "summary.json").read_text())["stop_reason"] for name in ("0", "1")} == {
+        "interrupted by SIGTERM"
+    }
+    process.communicate(timeout=20)
+    assert sweep(tmp_path, "method.generations=1", "seed=2") == 0  # nothing is locked
 
 
 def test_a_signal_while_a_sweep_is_collected_ends_that_too(tmp_path):

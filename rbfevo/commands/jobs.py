@@ -27,6 +27,7 @@ STOP = "stop"  # a file there: no further job begins, and those that run stop
 KNOWN = "known"  # a file there: where the jobs work that have begun before, by the hash of their settings
 STOPPED = (130, 143)  # exit codes after SIGINT and SIGTERM
 _begun: Path | None = None  # the place of the sweep that this process has started last
+_leader: int | None = None  # the process that has started this one of joblib's
 
 
 class Outcome(NamedTuple):
@@ -90,8 +91,20 @@ def hear_no_signals() -> None:
 
     joblib kills all its processes when one of them ends, and a terminal and SLURM send signals to all of them.
     """
+    global _leader
+    _leader = _leader or os.getppid()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
+
+
+def stopping() -> bool:
+    """Whether no further job of the sweep begins here, and those that run stop."""
+    return (place() / STOP).exists() or orphaned()
+
+
+def orphaned() -> bool:
+    """Whether the main process that has started this one of joblib's is dead, which joblib notices after minutes."""
+    return _leader not in (None, os.getppid())
 
 
 def leads() -> bool:

@@ -45,10 +45,11 @@ def job(config: DictConfig) -> None:
         int(current.job.num), composition.overrides, composition.directory.name, str(sweep), None, process=os.getpid()
     )
     jobs.save(outcome)
-    if (jobs.place() / jobs.STOP).exists():  # looked for after that, so that whoever makes it sees this job
+    if jobs.stopping():  # asked after that, so that whoever stops the sweep sees this job
         jobs.forget(outcome)
         with contextlib.suppress(OSError):
             composition.directory.rmdir()
+        _leave_if_orphaned()
         return
 
     def work() -> int:
@@ -68,12 +69,19 @@ def job(config: DictConfig) -> None:
     jobs.save(outcome._replace(code=0 if skipped else code, message=message, skipped=skipped))
     if message:
         parsers.complain("rbfevo", f"{outcome.directory}: {message}")
+    _leave_if_orphaned()
     if left is not None:
         sys.exit(left)  # submitit saves no result, for SLURM may start the job again
     if code in jobs.STOPPED and worker:
         (jobs.place() / jobs.STOP).touch()
     elif code in jobs.STOPPED:
         raise KeyboardInterrupt  # whoever interrupts a sweep means all of it
+
+
+def _leave_if_orphaned() -> None:
+    """End this process of joblib's where nobody is left whom it could tell."""
+    if jobs.orphaned():
+        os._exit(1)
 
 
 def _carry_out_job(config: DictConfig, top: RunConfig, composition: Composition, sweep: Path) -> int:
@@ -102,10 +110,9 @@ def _carry_out_job(config: DictConfig, top: RunConfig, composition: Composition,
         if how == "done":
             print(f"{directory.name}: done already ({' '.join(composition.overrides)})", flush=True)
             return SKIPPED
-        stop = jobs.place() / jobs.STOP
         return locked(
             directory,
-            lambda: carry_out(settings, directory, composition.overrides, how == "resume", stop),
+            lambda: carry_out(settings, directory, composition.overrides, how == "resume", jobs.stopping),
             lambda: write_hydra(config, directory) if how == "new" else None,
         )
     finally:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import signal
 import time
-from pathlib import Path
+from collections.abc import Callable
 from types import FrameType
 from typing import Any
 
 WARNING = getattr(signal, "SIGUSR2", None)  # submitit's, before SLURM ends a job; there is none on Windows
-LOOK = 0.2  # seconds between looks for the file
+LOOK = 0.2  # seconds between two questions whether to stop
 
 
 class Interruption:
@@ -19,10 +19,10 @@ class Interruption:
     left to whoever started the run. Other signals come along with it, and do not end the process.
 
     Args:
-        stop: a file that counts as SIGTERM once it exists; it can come along with signals.
+        stop: says whether to stop, which counts as SIGTERM; it can come along with signals.
     """
 
-    def __init__(self, stop: Path | None = None) -> None:
+    def __init__(self, stop: Callable[[], bool] | None = None) -> None:
         self._received: int | None = None
         self._before: dict[int, Any] = {}
         self._stop, self._stopped, self._looked = stop, False, -LOOK
@@ -31,7 +31,7 @@ class Interruption:
     def signal(self) -> int | None:
         """The signal that asks the run to stop, None without one."""
         if self._stop is not None and not self._stopped and time.monotonic() - self._looked >= LOOK:
-            self._stopped, self._looked = self._stop.exists(), time.monotonic()
+            self._stopped, self._looked = self._stop(), time.monotonic()
         return signal.SIGTERM if self._received is None and self._stopped else self._received
 
     @signal.setter

@@ -6,7 +6,7 @@ import contextlib
 import functools
 import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -253,7 +253,7 @@ def carry_out(
     directory: Path,
     arguments: Sequence[str] = (),
     resume: bool = False,
-    stop: Path | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> int:
     """Carry out one run into its directory; return 0, or 128 and the number of the signal that stopped it.
 
@@ -263,7 +263,7 @@ def carry_out(
         settings: checked settings; directory: where everything goes; it is locked meanwhile.
         arguments: the command line that the settings come from, for the checkpoint.
         resume: go on from the checkpoint in the directory.
-        stop: a file that stops the run as SIGTERM does, once it exists.
+        stop: says whether to stop the run, as SIGTERM does.
 
     Raises:
         UserError: for a user's mistake; what had been found by then is written all the same.
