@@ -139,6 +139,10 @@ def design_of(settings: Settings, given: set[str]) -> tuple[Scenario, float]:
         raise UserError(f"keep={settings.keep}: recommendations are for setups without centers that stay; leave it out")
     if not settings.representation["_target_"].endswith(".rbf"):
         raise UserError("advise compares kernels and radii of RBFs; leave out representation=")
+    if settings.representation.get("polynomial") is not None:
+        raise UserError(
+            "advise compares kernels and radii of RBFs without a polynomial; leave out representation.polynomial="
+        )
     scenario: Scenario = build(settings.scenario)
     if scenario.objectives is not None:
         listed = ", ".join(scenario.objectives.sources)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rbfevo.errors import UserError
 
 MANIPULATIONS = ("indirect", "direct")
+POLYNOMIALS = ("linear",)  # of RBFs, or null
 DEVICES = ("auto", "cpu", "cuda")
 EVALUATORS = ("auto", "fused", "eager")
 FIT_MANIPULATIONS = (*MANIPULATIONS, "orthogonalized")

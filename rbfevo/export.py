@@ -17,16 +17,18 @@ from rbfevo.commands import parsers
 from rbfevo.commands.center_rows import MOVED, numbered
 from rbfevo.errors import UserError
 from rbfevo.files import csv_text, npz, refuse_held, write_whole
+from rbfevo.recorded.morph import morph_of
 from rbfevo.recorded.moves import RULES, Move, places_of, spatial, wanted_move
 from rbfevo.recorded.objectives import index_of
 from rbfevo.recorded.parameters import design_matrix, orthonormal
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import Setup, setup
+from rbfevo.scoring.representations.linear import LinearRBF
 
 FILES = (
     *("centers.csv", "centers.vtp", "template.vtp", "setup.npz"),
-    *("displacements.csv", "weights.csv", "parameters.prm"),
+    *("displacements.csv", "weights.csv", "coefficients.csv", "morph.csv", "parameters.prm"),
 )
 STEP = 0.05  # of the diagonal of the template's bounding box
 DESCRIPTION = """Write one setup of a run (control points and what they can do) for other programs.
@@ -36,6 +38,9 @@ displacements.csv  how far to move each control point: edit it, then deform any 
                    runs with held regions moved_x, moved_y, moved_z say how far it really moves
 weights.csv        the RBF weights that do the same: displacement = sum over centers.csv of times * weight * phi; in
                    mirrored rows, the component across the symmetry plane changes its sign
+coefficients.csv, morph.csv
+                   in the place of weights.csv where RBFs have a linear polynomial: what rbfevo.apply takes as
+                   --weights; and the RBF weights, as above, with the factors of 1, x, y and z that are added
 setup.npz          arrays for your own optimizer: X' = X + U P, and Q and T of U = Q T: with parameters q = T p steps
                    are taken in Q, whose columns are orthonormal (R = 1)
 parameters.prm     control points for PyGeM"""
@@ -134,8 +139,14 @@ def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, 
     places = spatial(places_of(chosen))
     contents = {
         "centers.csv": csv_text(["center", "x", "y", "z", "mirrored", "times"], lines),
-        "weights.csv": numbered(["wx", "wy", "wz"], places, spatial(move.weights)),
+        coefficients(chosen): numbered(["wx", "wy", "wz"], places, spatial(move.weights)),
     }
+    if (morph := morph_of(chosen, move.weights)) is not None:
+        names = [*map(str, range(chosen.count)), "1", *"xyz"[: len(morph.polynomial) - 1]]
+        values = spatial(np.concatenate([morph.kernel, morph.polynomial])).tolist()
+        contents["morph.csv"] = csv_text(
+            ["of", "wx", "wy", "wz"], [(name, *row) for name, row in zip(names, values, strict=True)]
+        )
     k = move.wanted.shape[1]
     crosses = chosen.crosses(k)
     if reason := chosen.immovable(k):
@@ -158,8 +169,13 @@ def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, 
     return contents, left_out
 
 
+def coefficients(chosen: Setup) -> str:
+    """The file of what `rbfevo.apply` takes as --weights, which are RBF weights where there is no polynomial."""
+    return "coefficients.csv" if isinstance(chosen.representation, LinearRBF) else "weights.csv"
+
+
 def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dict[str, Any]:
-    mirror = chosen.mirror
+    mirror, linear = chosen.mirror, chosen.representation.spec().get("linear")
     arrays: dict[str, Any] = {
         "centers": chosen.centers,
         "vertices": record.vertices,
@@ -169,6 +185,7 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
         "kernel": np.array(chosen.name),
         "support": np.array(np.nan if chosen.support is None else chosen.support),
         **({} if chosen.kernel is None else {"kernel_spec": np.array(json.dumps(chosen.kernel.spec()))}),
+        **({} if linear is None else {"linear": np.array(json.dumps(linear))}),
         "manipulation": np.array(chosen.manipulation),
         "symmetry_axis": np.array("" if mirror is None else "xyz"[mirror.axis]),
         "symmetry_at": np.array(np.nan if mirror is None else mirror.at),
@@ -257,12 +274,14 @@ def closing(
         f"files: {out}: {', '.join(name for name in FILES if name in written or name.endswith('.vtp'))}",
     ]
     if "parameters.prm" in written:
-        from rbfevo.commands.pygem import LINEAR
+        from rbfevo.commands.pygem import difference
 
-        lines.append(f"parameters.prm: {LINEAR}")
+        lines.append(f"parameters.prm: {difference(chosen)}")
     lines += [f"left out: {name}: {reason}" for name, reason in left_out.items()]
-    what = "displacements" if "displacements.csv" in written else "weights"
-    arguments = [str(options.run), "--pick", options.pick.strip(), f"--{what}", str(out / f"{what}.csv")]
+    what, file = ("displacements", "displacements.csv")
+    if file not in written:
+        what, file = ("weights", coefficients(chosen))
+    arguments = [str(options.run), "--pick", options.pick.strip(), f"--{what}", str(out / file)]
     arguments += ["--mesh", str(out / "template.vtp"), "--out", str(out / "deformed.vtp")]
     return [*lines, f"next: python -m rbfevo.apply {shlex.join(arguments)}"]
 

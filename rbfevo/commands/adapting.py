@@ -69,6 +69,8 @@ def adapt(descent: Descent, run: Path, choice: str, where: Path, done: int, coun
         return Adapted(None, record, chosen, state, [line])
     if chosen.kernel is None:
         raise UserError("--adapt adds centers of RBFs, and this run has another representation; leave it out")
+    if not chosen.plain:
+        raise UserError("--adapt adds centers of RBFs without a polynomial; leave it out")
     m = len(chosen.centers)
     count = count or max(1, m // 2)
     name = f"adapted-{done + 1}"

@@ -15,6 +15,12 @@ SCALED = {  # PyGeM's multiquadrics are these times the scale, or over it, which
     InverseMultiquadric: "inv_multi_quadratic_biharmonic_spline",
 }
 LINEAR = "PyGeM adds a linear polynomial to the RBFs, so it deforms differently between the control points"
+SAME = "PyGeM deforms as rbfevo.apply does"
+
+
+def difference(setup: Setup) -> str:
+    """How PyGeM deforms compared with `rbfevo.apply`, in one line."""
+    return LINEAR if setup.plain else SAME
 
 
 def parameters(setup: Setup, displacements: Array) -> bytes:
@@ -38,7 +44,7 @@ def parameters(setup: Setup, displacements: Array) -> bytes:
         kernel = ["basis function: polyharmonic_spline", "radius: 1.0", "k: 3"]
     else:
         raise UserError(f"PyGeM has no kernel that corresponds to {setup.name}")
-    lines = ["# RBF parameters for PyGeM, written by rbfevo.", f"# {LINEAR}.", ""]
+    lines = ["# RBF parameters for PyGeM, written by rbfevo.", f"# {difference(setup)}.", ""]
     lines += ["[Radial Basis Functions]", *kernel, "", "[Control points]"]
     for name, points in (("original", original), ("deformed", deformed)):
         # Lines after the first must be indented: they belong to one value.

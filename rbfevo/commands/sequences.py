@@ -97,7 +97,7 @@ def _computed(
     parts = Parts(settings)
     refuse_changed(run, parts.scenario, member.record)
     if not sequence.is_scored(parts):
-        raise UserError(f"representation={parts.representation.name} does not consist of centers")
+        raise UserError("the columns of its representation do not belong to one center each")
     picks = picked.of(settings, lambda: sequence.picks(parts, picked.most))
     table = sequence.table(parts, picks.centers, settings.manipulation)
     searched = {name: table[name].tolist() if name in table else None for name in sequences.SEARCHED}

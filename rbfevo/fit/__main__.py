@@ -87,7 +87,7 @@ def carry_out(options: argparse.Namespace) -> int:
         start = time.perf_counter()
         (fit,) = strategy.fits(
             origin.scenario,
-            origin.kernel,
+            origin.representation,
             centers[None],
             manipulation,
             options.strategy,

@@ -35,14 +35,14 @@ class Deformation(NamedTuple):
         return torch.linalg.solve(self.M, parameters)
 
 
-def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulation: str) -> Deformation:
+def deformation(scenario: Scenario, kernel: Kernel | RBF, centers: Tensor, manipulation: str) -> Deformation:
     """The deformation of one setup: indirect U = Phi (paper, eq. 2), direct U = Phi Psi^-1 (eq. 4), orthogonalized.
 
     Orthogonalized is the thin Q of the QR decomposition of Phi, rows weighted: the same designs are within reach, at
     R = 1 (proposed by Richter et al., GECCO 2018).
 
     Args:
-        scenario, kernel: the design and phi.
+        scenario, kernel: the design, and phi or RBFs with a polynomial.
         centers: [m, d], model units.
         manipulation: one of `MANIPULATIONS`.
 
@@ -59,7 +59,7 @@ def deformation(scenario: Scenario, kernel: Kernel, centers: Tensor, manipulatio
     if centers.ndim != 2 or centers.shape[1] != d or not 1 <= len(centers) <= n:
         raise UserError(f"the centers of a setup must have shape [m, {d}], 1 <= m <= {n}, not {list(centers.shape)}")
     m, root = len(centers), scenario.weights.sqrt()[:, None]
-    representation = RBF(kernel)
+    representation = RBF(kernel) if isinstance(kernel, Kernel) else kernel
     Phi = representation.phi(scenario.vertices, centers)
     Phi = Phi if scenario.blend is None else scenario.blend[:, None] * Phi
     if not bool(centers.isfinite().all() and Phi.isfinite().all()):

@@ -17,7 +17,6 @@ from rbfevo.fit.objective import residuals
 from rbfevo.fit.source import Source
 from rbfevo.fit.strategy import Fit
 from rbfevo.runs.storage import csv_text, npz, write_whole
-from rbfevo.scoring.representations import RBF
 
 RESULTS = ("fit.json", "history.csv", "parameters.npz", "deformed.ply", "fit.png")
 
@@ -29,7 +28,7 @@ def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summar
         UserError: if the directory cannot be made or written to.
     """
     scenario = source.scenario
-    found = deformation(scenario, source.kernel, centers, summary["manipulation"])
+    found = deformation(scenario, source.representation, centers, summary["manipulation"])
     displacement = found.U @ fit.parameters
     weights = found.weights(fit.parameters)
     deformed = moved(scenario.vertices, displacement)
@@ -42,7 +41,7 @@ def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summar
         "weights": weights.numpy(),
         "deformed": deformed,
         "local_error": local_error,
-        "moved_centers": moved(centers, blend * (RBF(source.kernel).psi(centers) @ weights)),
+        "moved_centers": moved(centers, blend * (source.representation.psi(centers) @ weights)),
     }
     lines = zip(range(len(fit.errors)), fit.errors.tolist(), fit.steps.tolist(), strict=True)
     try:

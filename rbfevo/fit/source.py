@@ -14,13 +14,14 @@ from rbfevo.runs.config import build
 from rbfevo.runs.source import refuse_changed, settings_of
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.representations import RBF
 
 
 class Source(NamedTuple):
-    """What a run scored its setups on: the scenario, the kernel, and how the design is manipulated."""
+    """What a run scored its setups on: the scenario, the RBFs, and how the design is manipulated."""
 
     scenario: Scenario
-    kernel: Kernel
+    representation: RBF
     manipulation: str
 
 
@@ -48,4 +49,5 @@ def rebuild(run: Path, record: Record) -> Source:
             raise UserError(f"{run}: {name} is {recorded[name]} in summary.json and {value} in .hydra/config.yaml; "
                             "restore the file that was changed")  # fmt: skip
     refuse_changed(run, scenario, record)
-    return Source(scenario, kernel, settings.manipulation)
+    representation = build(settings.representation, scenario, kernel, record.centers.shape[1])
+    return Source(scenario, representation, settings.manipulation)

@@ -20,6 +20,7 @@ from rbfevo.fit.objective import Objective, Optimum, Pairs
 from rbfevo.methods.cmaes.algorithm import CMAES
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.representations import RBF
 
 FIRST_STEP = 0.3  # of the wanted displacement: about how far a first offspring moves the design
 
@@ -60,7 +61,7 @@ class Fit:
 
 def fits(
     scenario: Scenario,
-    kernel: Kernel,
+    kernel: Kernel | RBF,
     centers: Tensor,
     manipulation: str | Sequence[str] = "indirect",
     strategy: str = "isotropic",
@@ -83,7 +84,7 @@ def fits(
     steps of an element depend on its setup, settings and generator alone, up to rounding.
 
     Args:
-        scenario, kernel: the design, what it should become, and phi.
+        scenario, kernel: the design, what it should become, and phi or RBFs with a polynomial.
         centers: [B, m, d], model units.
         manipulation: one of `MANIPULATIONS`, or one for each setup.
         strategy: `isotropic` (only the step size adapts) or `cmaes`.

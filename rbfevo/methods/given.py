@@ -64,7 +64,7 @@ class GivenCenters(Heuristic):
         """[p, m, d].
 
         Raises:
-            UserError: if the representation does not consist of centers.
+            UserError: if the representation does not consist of centers, or a setup has no columns.
         """
         if self.inputs is None:
             self.bring(problem.scenario)
@@ -73,6 +73,9 @@ class GivenCenters(Heuristic):
             raise UserError(
                 f"method={self.name} takes centers, and representation={problem.representation.name} has none"
             )
+        for file, one in zip(self.files, setups, strict=True):
+            if not bool(problem.representation.phi(problem.scenario.vertices[:1], one).isfinite().all()):
+                raise UserError(f"{file}: this setup cannot be scored: {problem.representation.fails_where}")
         return setups
 
     def rows(self) -> list[Rows]:

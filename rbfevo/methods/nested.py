@@ -125,7 +125,7 @@ def nested_of(
     Raises:
         UserError: if the representation does not consist of centers, or too few candidates move anything.
     """
-    design = coarsened(scenario.half(), VERTICES)
+    design, representation = coarsened(scenario.half(), VERTICES), representation.placed_by
     columns = atoms_of(representation, design)
     bounded = [bounded_of(alone, representation, norm) for alone in design.each()]
 

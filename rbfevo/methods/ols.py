@@ -156,7 +156,7 @@ class OlsHeuristic(Heuristic):
             searched = (problem.scenario, problem.representation, problem.norm)
             return nested_of(*searched, problem.free, per_axis, problem.kept_on_one_side).centers
         design, combination = problem.scenario.half(), Combination.of(problem.scenario.objectives)
-        atoms, blend = atoms_of(problem.representation, design), design.blend
+        atoms, blend = atoms_of(problem.representation.placed_by, design), design.blend
         return ols(
             atoms if blend is None else lambda candidates: blend[:, None] * atoms(candidates),
             candidates_of(problem.scenario, self.per_axis),

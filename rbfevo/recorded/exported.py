@@ -16,6 +16,7 @@ from rbfevo.errors import UserError
 from rbfevo.recorded.record import Record
 from rbfevo.scoring.kernels import kernel_of
 from rbfevo.scoring.representations import RBF
+from rbfevo.scoring.representations.linear import LinearRBF
 
 NEEDED = (
     *("centers", "vertices", "faces", "lower", "upper", "kernel", "support", "manipulation"),
@@ -57,7 +58,7 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
         "planar": _plane(arrays, "planar"),
     }
     if "kernel_spec" in arrays:
-        summary["representation"] = _representation(path, arrays["kernel_spec"])
+        summary["representation"] = _representation(path, arrays["kernel_spec"], arrays.get("linear"))
     if "held" in arrays:
         summary["hold_width"] = float(arrays["hold_width"])
     one, n = np.zeros(1), len(vertices)
@@ -81,17 +82,19 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
     return record, {across: arrays[name] for across, name in ((False, "T"), (True, "T_across")) if name in arrays}
 
 
-def _representation(path: Path, kernel_spec: Array) -> dict[str, Any]:
-    """The representation, as summary.json has it, of a kernel's numbers as JSON.
+def _representation(path: Path, kernel_spec: Array, linear: Array | None) -> dict[str, Any]:
+    """The representation, as summary.json has it, of a kernel's numbers as JSON, and of its linear functions if any.
 
     Raises:
         UserError: if its kernel is not known here.
     """
     try:
         spec = json.loads(kernel_spec.item())
+        functions = None if linear is None else json.loads(linear.item())
     except (ValueError, TypeError, AttributeError):
         raise UserError(f"{path} cannot be read: its kernel_spec is damaged") from None
-    made = RBF(kernel_of(spec if isinstance(spec, dict) else {}))
+    kernel = kernel_of(spec if isinstance(spec, dict) else {})
+    made = RBF(kernel) if functions is None else LinearRBF.of_spec(kernel=kernel.spec(), linear=functions)
     return {"name": made.name, **made.spec()}
 
 

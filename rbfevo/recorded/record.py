@@ -221,6 +221,8 @@ class Record:
         numbers = spec.get("kernel") if isinstance(spec, dict) else None
         if isinstance(numbers, dict) and isinstance(numbers.get("scale"), float):
             kernel += f", scale {numbers['scale']:.4g}"
+        if isinstance(spec, dict) and "linear" in spec:
+            kernel += " with a linear polynomial"
         if isinstance(spec, dict) and spec.get("name", "rbf") != "rbf":
             kernel = f"representation {spec['name']}"
         return f"{entry('scenario', 'unknown')} · {kernel} · {entry('manipulation', 'unknown')} manipulation"

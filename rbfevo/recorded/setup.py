@@ -76,6 +76,11 @@ class Setup:
         return self.representation.kernel if isinstance(self.representation, RBF) else None
 
     @property
+    def plain(self) -> bool:
+        """Whether each column is a kernel around one center."""
+        return isinstance(self.representation, RBF) and self.representation.plain
+
+    @property
     def name(self) -> str:
         """The name of the kernel, or of another representation."""
         return self.representation.name if self.kernel is None else self.kernel.name
@@ -100,8 +105,14 @@ class Setup:
         if self.genotype is not None:
             return np.asarray(self.representation.phi(points, self.genotype))
         pair = None if self.mirror is None else self.representation.symmetric(self.mirror)
-        representation = self.representation if pair is None else pair[1] if across else pair[0]
-        return np.asarray(representation.phi(points, self.centers))
+        if pair is None:
+            return np.asarray(self.representation.phi(points, self.centers))
+        if not across:
+            return np.asarray(pair[0].phi(points, self.centers))
+        found, off = np.zeros((len(points), self.count)), self.off_plane
+        if len(off):  # those on the plane have no column
+            found[:, off] = pair[1].phi(points, self.centers[off])
+        return found
 
     def blended(self, points: Array, across: bool = False) -> Array:
         """The columns [q, m] at points [q, d] times the blend of what is held: U of indirect manipulation."""

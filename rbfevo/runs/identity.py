@@ -59,7 +59,7 @@ def identity(settings: Settings, whole: bool = False) -> str:
         del plain["criterion_norm"]
     if plain["keep"] is None:  # checkpoints from before there was the key
         del plain["keep"]
-    if plain["representation"] == RBF:  # checkpoints from before there were others
+    if plain["representation"] in (RBF, {**RBF, "polynomial": None}):  # checkpoints from before there were others
         del plain["representation"]
     plain["scenario"] = {  # of checkpoints from before there were these keys
         key: value for key, value in plain["scenario"].items() if key not in ADDED or value != ADDED[key]

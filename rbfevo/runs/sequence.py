@@ -78,7 +78,7 @@ def _small(problem: Problem, heuristic: OlsHeuristic) -> Problem:
 
 def is_scored(parts: Parts) -> bool:
     """Whether the columns of a run's setups belong to one center each."""
-    return isinstance(parts.representation, RBF)
+    return isinstance(parts.representation, RBF) and parts.representation.plain
 
 
 def _combination(parts: Parts) -> Combination:

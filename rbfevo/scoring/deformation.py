@@ -111,6 +111,6 @@ def deformation_of(
     """The deformation in a representation, or in that by RBFs of a kernel."""
     if isinstance(of, Kernel):
         return RBFDeformation(vertices, of, manipulation, blend=blend)
-    if isinstance(of, RBF):
+    if isinstance(of, RBF) and of.plain:
         return RBFDeformation(vertices, of.kernel, manipulation, of.image, blend)
     return Deformation(vertices, of, manipulation, blend)

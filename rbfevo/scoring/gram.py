@@ -65,7 +65,7 @@ class GramAccumulator:
     ) -> None:
         refuse_others("evaluator", backend, EVALUATORS)
         self.representation = RBF(representation) if isinstance(representation, Kernel) else representation
-        self._rbf = self.representation if isinstance(self.representation, RBF) else None
+        self._rbf = self.representation if isinstance(self.representation, RBF) and self.representation.plain else None
         code = None if self._rbf is None else _fused_code(vertices, self._rbf.kernel)
         possible = code is not None
         if backend == "fused" and not possible:

@@ -156,7 +156,7 @@ def _run(
     centers = record.centers[rows]
     if mirror is not None:  # those on the symmetry plane are put exactly there
         centers = np.stack([setup(record, int(row)).centers for row in rows])
-    formula = known.kernel.page if known is not None and known.kernel is not None else None
+    formula = known.kernel.page if known is not None and known.kernel is not None and known.plain else None
     embedded = None
     if known is not None and formula is None:
         each = record.each()

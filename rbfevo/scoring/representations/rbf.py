@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from rbfevo.choices import POLYNOMIALS, refuse_others
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
 from rbfevo.scoring.kernels import Kernel, kernel_of
@@ -38,6 +39,7 @@ class RBF(Representation):
     name = "rbf"
     dims = 2
     manipulations = ("indirect", "direct")
+    plain = True  # each column is the kernel around one center
 
     def __init__(self, kernel: Kernel, image: Image | None = None) -> None:
         self.kernel, self.image = kernel, image
@@ -136,7 +138,12 @@ class RBF(Representation):
         """With W = Psi^-1, sigma changes by -v_i^T dPsi z_i; |c_j' - c_i| = |c_j - c_i'| pulls both centers alike."""
         from rbfevo.scoring.matrices import product
 
-        dPsi = -product(through.scaled, through.reduced.mT)
+        return self.pull_psi(setups, -product(through.scaled, through.reduced.mT))
+
+    def pull_psi(self, setups: Tensor, dPsi: Tensor) -> Tensor:
+        """Gradient [p, m, d] of a function whose gradient in the kernel's Psi is [p, m, m]."""
+        from rbfevo.scoring.matrices import product
+
         S = dPsi + dPsi.mT
         H = S * self.kernel.slope(_distances(setups, setups))
         found = H.sum(2, keepdim=True) * setups - product(H, setups)
@@ -173,6 +180,15 @@ def _distances(a: Any, b: Any) -> Any:
     return distances(a, b)
 
 
-def rbf(scenario: Scenario, kernel: Kernel, centers: int) -> RBF:
-    """Radial basis functions of the kernel that `kernel=` chooses."""
-    return RBF(kernel)
+def rbf(scenario: Scenario, kernel: Kernel, centers: int, polynomial: str | None = None) -> RBF:
+    """Radial basis functions of the kernel that `kernel=` chooses, alone or with a `linear` polynomial.
+
+    Raises:
+        UserError: for another polynomial.
+    """
+    if polynomial is None:
+        return RBF(kernel)
+    refuse_others("representation.polynomial", polynomial, POLYNOMIALS)
+    from rbfevo.scoring.representations.linear import LinearRBF, linear_functions
+
+    return LinearRBF(kernel, linear_functions(scenario))

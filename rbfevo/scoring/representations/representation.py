@@ -76,12 +76,14 @@ class Representation(abc.ABC):
         dims: dimensions of one setup.
         manipulations: those that it offers.
         shape: of one setup, or None where any number of centers will do.
+        fails_where: why a setup of finite numbers has no scores.
     """
 
     name: str = ""
     dims: int = 1
     manipulations: tuple[str, ...] = ("indirect",)
     shape: tuple[int, ...] | None = None
+    fails_where: str = "its columns are not finite"
 
     @abc.abstractmethod
     def phi(self, points: Any, setups: Any) -> Any:
@@ -142,6 +144,11 @@ class Representation(abc.ABC):
     def assemble(self, centers: Tensor) -> Tensor | None:
         """Setups [*pop, *setup] of centers [*pop, m, d] that a heuristic has placed; None where they are no setup."""
         return None
+
+    @property
+    def placed_by(self) -> Representation:
+        """The representation in which heuristics place centers one by one, of which setups are then assembled."""
+        return self
 
     def atoms(self, points: Tensor) -> Callable[[Tensor], Tensor] | None:
         """The map from candidate centers [c, d] to their columns [n, c], for heuristics that place them; or None."""
