@@ -9,7 +9,7 @@ import numpy as np
 from rbfevo.figures import style
 from rbfevo.recorded.record import Record
 
-HEURISTICS = ("random", "lloyd", "ols", "given")
+HEURISTICS = ("random", "lloyd", "ols", "blend", "given")
 
 
 class Series(NamedTuple):
@@ -35,6 +35,8 @@ def kinds(record: Record) -> dict[tuple[str, bool], list[int]]:
 
 def series(record: Record, method: str, preferred: bool) -> Series:
     """Colours and marks of the paper; another front keeps the colour and changes the mark."""
+    if method == "blend":
+        return Series("blend of OLS and Lloyd", style.ORANGE, "^", 44, 5)
     if preferred:
         return Series(f"preferences ({method})", style.MAGENTA, "^", 52, 5)
     if method in ("nsga2", "gradient"):

@@ -1,5 +1,6 @@
 """Ways to find setups: searches for the front or for preferences, and heuristics."""
 
+from rbfevo.methods.blend import BlendHeuristic
 from rbfevo.methods.cmaes.search import CmaesSearch
 from rbfevo.methods.given import GivenCenters
 from rbfevo.methods.gradient.search import GradientSearch
@@ -10,6 +11,7 @@ from rbfevo.methods.panel import Panel
 from rbfevo.methods.random import RandomHeuristic
 
 __all__ = [
+    "BlendHeuristic",
     "CmaesSearch",
     "GivenCenters",
     "GradientSearch",

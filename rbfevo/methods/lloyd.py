@@ -174,6 +174,20 @@ def _step(X: Tensor, mass: Tensor, centers: Tensor, fixed: int = 0) -> tuple[Ten
     return moved[:, :free], inertias
 
 
+def towards_centroids(
+    vertices: Tensor, weights: Tensor, centers: Tensor, share: Tensor, kept: Tensor | None = None
+) -> Tensor:
+    """Move each of the centers [s, m, d] by a share [s] of its way to the centroid of the vertices nearest to it.
+
+    Args:
+        vertices: [n, d]; weights: [n] positive masses; kept: [k, d] centers that have cells of their own and stay.
+    """
+    middle = vertices.mean(0)
+    these = centers if kept is None else torch.cat((centers, kept.expand(len(centers), -1, -1)), 1)
+    moved, _ = _step(vertices - middle, weights, these - middle, 0 if kept is None else len(kept))
+    return centers + share[:, None, None] * (moved + middle - centers)
+
+
 def _reseed(X: Tensor, centers: Tensor, empty: Tensor) -> Tensor:
     """Move each of the `empty` [m] among `centers` [m, d] to the vertex farthest from all others."""
     axes = X.T

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.methods.gradient.lbfgs import LBFGS
+from rbfevo.methods.gradient.rise import rise
 from rbfevo.methods.gradient.teams import RANDOM, FrontTeam, Team, WishTeam
-from rbfevo.methods.gradient.tracing import exponents, soft_potential, soft_regularity
 from rbfevo.methods.lloyd import LloydHeuristic
 from rbfevo.methods.method import Method, Problem, Rows, at_least_one, starts_of, unscored
 from rbfevo.methods.ols import OlsHeuristic
@@ -148,21 +148,11 @@ class GradientSearch(Method):
             self._renew = True
         points = self._climb.ask()
         placed = self._placed(points)
-        near = () if self._near is None else (self._near,)
-        spectrum = self._problem.spectrum(self._problem.space.place(placed), *near)
-        self._near = spectrum.near
-        objectives = torch.stack((spectrum.regularity, spectrum.potential), dim=1)
-        if self._renew:
-            self._exponents, self._renew = exponents(objectives[:, 0], self._sharpness), False
-        if self._exponents is None:
-            raise UserError("gradient: call start() with a problem first")
-        log_regularity, slope = soft_regularity(spectrum, self._exponents)
-        potential, shares = soft_potential(spectrum, self._sharpness)
-        values, in_regularity, in_potential = self._team.aim(log_regularity, potential)
-        gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential[:, None] * shares)
-        gradient = self._problem.space.pull(placed, gradient)
-        self._climb.tell(values, (gradient * self._side).flatten(1))
-        self._team.move(self._climb, points, objectives, self._climb.accepted)
+        exponents = None if self._renew else self._exponents
+        risen = rise(self._problem, placed, self._team.aim, self._sharpness, exponents, self._near)
+        self._exponents, self._near, self._renew = risen.exponents, risen.near, False
+        self._climb.tell(risen.values, (risen.gradients * self._side).flatten(1))
+        self._team.move(self._climb, points, risen.objectives, self._climb.accepted)
         self._step += 1
 
     def _take_given(self) -> None:
