@@ -109,7 +109,7 @@ def spread(problem: Problem, wishes: Tensor) -> Tensor:
     """The picks of `penalized` for each preference, as they are and moved towards the middles of their cells."""
     scenario = problem.scenario
     design = coarsened(scenario.half(), COARSE)
-    atoms, root = atoms_of(problem.representation, design), design.weights.sqrt()[:, None]
+    atoms, root = atoms_of(problem.representation.placed_by, design), design.weights.sqrt()[:, None]
     root = root if design.blend is None else root * design.blend[:, None]
     flat = scenario.vertices.shape[1] == 2 or scenario.planar is not None
     candidates, kept = candidates_of(scenario, CANDIDATES[2 if flat else 3]), problem.kept_on_one_side
