@@ -68,7 +68,7 @@ def plain_potentials(record: Record, row: int) -> tuple[float, float]:
 def test_files_hold_both_potentials_and_name_the_one_that_was_searched(panel: Path) -> None:
     record = read(panel)
     assert record.bounded_potential is not None
-    assert list(dict.fromkeys(record.method.tolist())) == ["random", "nsga2", "cmaes", "lloyd", "ols"]
+    assert list(dict.fromkeys(record.method.tolist())) == ["random", "nsga2", "cmaes", "lloyd", "ols", "blend"]
     assert np.abs(record.bounded_potential - record.improvement_potential).max() > 0.01
     for row in range(0, len(record.method), 3):
         found = record.improvement_potential[row], record.bounded_potential[row]
@@ -84,7 +84,7 @@ def test_the_history_is_of_the_searched_potential(panel: Path) -> None:
     last: dict[str, dict[str, dict[str, str]]] = defaultdict(dict)
     for line in csv.DictReader((panel / "history.csv").read_text().splitlines()):
         last[line["method"]][line["preference"]] = line
-    assert set(last) == {"nsga2", "cmaes", "lloyd", "ols"}
+    assert set(last) == {"nsga2", "cmaes", "lloyd", "ols", "blend"}
     assert set(last["cmaes"]) == {"0.0", "0.4", "1.0"}
     for method, lines in last.items():
         rows = record.method == method

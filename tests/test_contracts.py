@@ -13,6 +13,7 @@ import pytest
 import torch
 import yaml
 
+from rbfevo.figures.series import HEURISTICS
 from rbfevo.methods.cmaes.algorithm import CMAES
 from rbfevo.methods.nsga2 import NSGA2
 from rbfevo.recorded.record import read
@@ -30,6 +31,7 @@ OPTIONS = [(group, path.stem) for group in GROUPS for path in sorted((CONF / gro
 BEFORE = "7673209e82a192b516b5cdac"  # of `settings("nsga2")`, by a version of before `criterion.norm`
 GIVEN = Path(__file__).with_name("given")  # control points for the plane, in files
 METHODS: dict[str, dict[str, Any]] = {  # small budgets
+    "blend": {"climbs": 4, "per_axis": 8},
     "cmaes": {"parents": 4, "population": 8, "generations": 3},
     "gradient": {"starts": 16, "population": 16, "generations": 6, "polish": 2, "front": 6, "coarse": 100},
     "given": {"centers": [str(GIVEN / "four.csv"), str(GIVEN / "four_others.csv")]},
@@ -114,7 +116,7 @@ def test_every_method_stays_in_the_box_and_follows_its_seed(method: str, tmp_pat
         assert not np.array_equal(record.centers, found[2].centers)
 
 
-@pytest.mark.parametrize("method", [name for name in METHODS if name not in ("given", "lloyd", "ols", "random")])
+@pytest.mark.parametrize("method", [name for name in METHODS if name not in HEURISTICS])
 def test_every_search_survives_scores_that_are_nan_and_goes_on_from_its_state(method: str) -> None:
     def started() -> Any:
         made = run.Run(settings(method))
@@ -177,6 +179,7 @@ def test_every_method_interrupted_keeps_what_it_found_and_goes_on_to_the_same_en
 
 
 SMALLEST: dict[str, dict[str, Any]] = {  # the least of each: one setup, start, candidate or preference where it can
+    "blend": {"climbs": 1, "per_axis": 2},
     "cmaes": {"parents": 1, "population": 2, "generations": 1},
     "gradient": {"starts": 1, "population": 16, "generations": 5, "polish": 1, "front": 2, "coarse": 100},
     "given": {"centers": str(GIVEN / "one.csv")},
@@ -189,7 +192,7 @@ SMALLEST: dict[str, dict[str, Any]] = {  # the least of each: one setup, start, 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_takes_the_smallest_budget_and_a_single_center(method: str, tmp_path: Path) -> None:
-    preferences = (0.5,) if method in ("cmaes", "gradient") else None
+    preferences = (0.5,) if method in ("blend", "cmaes", "gradient") else None
     node = {**option("method", method), **SMALLEST[method]}
     small = settings(method, centers=1, method=node, preferences=preferences)
     assert run.carry_out(small, tmp_path) == 0

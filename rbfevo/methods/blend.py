@@ -7,6 +7,8 @@ design.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -54,17 +56,17 @@ class BlendHeuristic(Heuristic):
 
     def place(self, problem: Problem) -> Tensor:
         """[p, m, d]."""
-        coarse, wishes = problem.coarsened(COARSE), self._wishes(problem)
-        lloyd = LloydHeuristic().place(problem)[0]
-        ols = OlsHeuristic(self.per_axis).place(problem)[0]
-        starts = torch.cat((between(problem, ols, lloyd, wishes), spread(problem, wishes)))
-        objectives = coarse.evaluate(torch.cat((starts, lloyd[None]))).objectives
-        weight = range_weights(objectives, wishes)
-        chosen = starts[preferred(weight[:, None], objectives[:-1]).argmax(1)]
-        raised = climbed(coarse, chosen, weight, self.climbs)
-        both = torch.stack((chosen, raised), dim=1)
-        better = preferred(weight[:, None], problem.evaluate(both).objectives).argmax(1)
+        coarse = problem.coarsened(COARSE)
+        starts = Starts.of(problem, coarse, self.heuristics(problem), self._wishes(problem))
+        chosen = starts.best()
+        both = torch.stack((chosen, climbed(coarse, chosen, starts.weight, self.climbs)), dim=1)
+        better = preferred(starts.weight[:, None], problem.evaluate(both).objectives).argmax(1)
         return both[torch.arange(len(both)), better]
+
+    def heuristics(self, problem: Problem) -> Tensor:
+        """The setups [2, *setup] of OLS and of Lloyd."""
+        ols, lloyd = OlsHeuristic(self.per_axis).place(problem), LloydHeuristic().place(problem)
+        return torch.cat((ols, lloyd))
 
     def step(self) -> None:
         """Place and score the setups, each with its preference."""
@@ -86,20 +88,43 @@ class BlendHeuristic(Heuristic):
         return found
 
 
-def range_weights(objectives: Tensor, wishes: Tensor) -> Tensor:
-    """The preferences [p] of eq. 9 that weigh both ranges alike, of objectives [s, 2] whose last row is Lloyd's."""
-    regular, potential = objectives.amax(0)
-    gained = (potential - objectives[-1, 1]).clamp_min(torch.finfo(objectives.dtype).eps)
-    of_regularity, of_potential = wishes * gained, (1.0 - wishes) * regular
-    both = of_regularity + of_potential
-    return torch.where(both > 0, of_regularity / both, 0.0)
+class Starts(NamedTuple):
+    """Where setups can begin to climb.
+
+    Attributes:
+        setups: [s, *setup]: p between OLS and Lloyd, and p of each step of `RELAXED`; objectives: [s, 2] R and P.
+        weight: [p] the preferences of eq. 9 that weigh the range of R and that of P alike.
+    """
+
+    setups: Tensor
+    objectives: Tensor
+    weight: Tensor
+
+    @classmethod
+    def of(cls, problem: Problem, coarse: Problem, heuristics: Tensor, wishes: Tensor) -> Starts:
+        """Those of a problem, compared on a coarse one.
+
+        Args:
+            heuristics: [2, *setup] of OLS and of Lloyd; wishes: [p].
+        """
+        setups = torch.cat((between(problem, heuristics, wishes), spread(problem, wishes)))
+        objectives = coarse.evaluate(torch.cat((setups, heuristics[1:]))).objectives
+        regular, potential = objectives.amax(0)
+        gained = (potential - objectives[-1, 1]).clamp_min(torch.finfo(objectives.dtype).eps)
+        of_regularity, of_potential = wishes * gained, (1.0 - wishes) * regular
+        both = of_regularity + of_potential
+        return cls(setups, objectives[:-1], torch.where(both > 0, of_regularity / both, 0.0))
+
+    def best(self) -> Tensor:
+        """The best for each preference [p, *setup]."""
+        return self.setups[preferred(self.weight[:, None], self.objectives).argmax(1)]
 
 
-def between(problem: Problem, ols: Tensor, lloyd: Tensor, wishes: Tensor) -> Tensor:
-    """Setups [p, *setup] between two of them, the centers of which are paired so that they move the least."""
+def between(problem: Problem, two: Tensor, wishes: Tensor) -> Tensor:
+    """Setups [p, *setup] between two of them [2, *setup], whose centers are paired so that they move the least."""
     from scipy.optimize import linear_sum_assignment
 
-    here, there = problem.space.points(ols), problem.space.points(lloyd)
+    here, there = problem.space.points(two)
     rows, columns = linear_sum_assignment(torch.cdist(here, there).square().cpu().numpy())
     share = wishes[:, None, None]
     return problem.space.place((1.0 - share) * here[rows] + share * there[columns])
