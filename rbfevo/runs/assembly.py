@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rbfevo import methods
 from rbfevo.errors import UserError
-from rbfevo.methods.method import Method, Problem, Rows, no_preference, random_stream
+from rbfevo.methods.method import Heuristic, Method, Problem, Rows, no_preference, random_stream
 from rbfevo.runs.config import OWN_CENTERS, Settings, build
 from rbfevo.runs.identity import stages_of
 from rbfevo.runs.judged import Judged
@@ -62,10 +62,14 @@ class Parts:
                 f"centers={settings.centers}: scenario {self.scenario.name} has only {n} vertices; use fewer"
             )
         self.kernel: Kernel = build(settings.kernel, d, self.scenario.support, self.scenario.diagonal)
-        self.representation: Representation = build(
-            settings.representation, self.scenario, self.kernel, settings.centers
-        )
+        made: Representation = build(settings.representation, self.scenario, self.kernel, settings.centers)
+        self.representation = made.for_run(self.scenario, settings.manipulation)
+        for stage in (stage for stage in self.stages if not isinstance(stage, Heuristic)):
+            self.representation.refuse_search(stage.name)
         self.space = self._space()
+        if settings.centers == OWN_CENTERS:
+            own = self.representation.parameters(self.space.place(self.space.lower))
+            self.settings = settings = dataclasses.replace(settings, centers=own)
         self._refuse_too_few_vertices(method)
         self.name: str = method.name
         for stage in self.stages:

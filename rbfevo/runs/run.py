@@ -59,6 +59,7 @@ class Run(Parts):
         self._done: dict[str, int] = dict.fromkeys(COUNTERS, 0)  # by the parts of this run carried out earlier
         self._stage_index = self._step = self._before = 0  # of the rows, those before this stage
         self.warnings: list[str] = [*self.scenario.warnings, *reach.unfit(self.scenario, self.kernel.support)]
+        self.warnings += self.representation.doubts(self.scenario)
         self.warnings += unused_preferences(settings)
         self.differences: dict[str, float] | None = None
         self.printed = 0  # of the warnings

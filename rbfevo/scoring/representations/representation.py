@@ -95,6 +95,26 @@ class Representation(abc.ABC):
     def spec(self) -> dict[str, Any]:
         """Plain numbers and text: `target` is the class, the others are what its `of_spec` takes; not `name`."""
 
+    @property
+    def narrows(self) -> bool:
+        """Whether W may have a rank below the columns of Phi, so that P and V depend on the manipulation."""
+        return False
+
+    def for_run(self, scenario: Scenario, manipulation: str) -> Representation:
+        """The representation of a run, with what it takes from its scenario and manipulation."""
+        return self
+
+    def parameters(self, setups: Any) -> int:
+        """m, the columns of U: those of Phi, unless a manipulation has fewer."""
+        return self.columns(setups)
+
+    def doubts(self, scenario: Scenario) -> list[str]:
+        """A line for each reason to doubt results on a scenario."""
+        return []
+
+    def refuse_search(self, method: str) -> None:  # noqa: B027 - most can be searched
+        """Raise UserError if a method cannot search the setups of this run."""
+
     @classmethod
     def of_spec(cls, **numbers: Any) -> Representation:
         """The representation that `spec` describes, without torch."""
@@ -131,6 +151,10 @@ class Representation(abc.ABC):
         """Gradient [p, *setup] of a function whose gradient in Phi^T is [p, r, q]; None without a closed form."""
         return None
 
+    def pull_weights(self, setups: Tensor, gradient: Tensor) -> Tensor | None:
+        """Gradient [p, *setup] of a function whose gradient in W is [p, r, m], where `narrows`; None without."""
+        return None
+
     def pull_reduction(self, setups: Tensor, through: Pull) -> Tensor | None:
         """Gradient [p, *setup] of what reaches sigma through W; None without a closed form."""
         return None
@@ -146,6 +170,12 @@ class Representation(abc.ABC):
     def atoms(self, points: Tensor) -> Callable[[Tensor], Tensor] | None:
         """The map from candidate centers [c, d] to their columns [n, c], for heuristics that place them; or None."""
         return None
+
+
+def with_own_columns(make: Any) -> Any:
+    """Mark a function of a yaml whose settings say how many columns there are; without `centers=` it gets 0."""
+    vars(make)["brings"] = True
+    return make
 
 
 def representation_of(spec: dict[str, Any]) -> Representation:

@@ -1,0 +1,169 @@
+"""Boxes of free-form deformation on a scenario: which are searched, the one around the design, and points on it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from rbfevo.arrays import Array
+from rbfevo.errors import UserError
+from rbfevo.scenarios.scenario import Scenario
+from rbfevo.scoring.representations.lattice import Lattice
+from rbfevo.scoring.representations.representation import Space
+
+SMALLEST = 0.05  # half an axis of the smallest box, of the design's size along it
+FLAT = 0.1  # of the diagonal: a design that is flatter counts as that thick
+KNOTS = (0.02, 0.98)  # where inner knots are searched
+MARGIN = 1e-6  # of its size: by so much the box around the design is larger
+
+
+class Free(NamedTuple):
+    """Genotypes base + M p of free parameters p in a box.
+
+    Attributes:
+        base: [D]; M: [D, f]; lower, upper: [f]; rows: [f] of the genotype that are the parameters themselves.
+    """
+
+    base: Array
+    M: Array
+    lower: Array
+    upper: Array
+    rows: list[int]
+
+
+def refuse_unfit(lattice: Lattice, scenario: Scenario) -> None:
+    """Raise UserError if a scenario asks for what boxes do not have."""
+    if scenario.mirror is not None and lattice.turn not in (None, scenario.mirror.axis):
+        raise UserError(
+            f"representation.turn={'xyz'[lattice.turn]}: a box that is symmetric about {'xyz'[scenario.mirror.axis]} = "
+            f"{scenario.mirror.at:g} can be turned about {'xyz'[scenario.mirror.axis]} alone"
+        )
+
+
+def sizes(scenario: Scenario) -> Tensor:
+    """The sides [d] of the scenario's box, those that are almost 0 replaced."""
+    return (scenario.upper - scenario.lower).clamp(min=FLAT * scenario.diagonal)
+
+
+def search_space(lattice: Lattice, scenario: Scenario) -> Space:
+    """Boxes with their centre in the scenario's box, and half axes from `SMALLEST` to 1 of its sides.
+
+    Boxes of a symmetric design are symmetric about its plane.
+    """
+    free = _free(lattice, scenario)
+    base, M, lower, upper = (torch.from_numpy(array) for array in free[:4])
+
+    def sample(count: int, generator: torch.Generator) -> Tensor:
+        draws = torch.rand(count, len(lower), generator=generator, dtype=torch.float64, device=generator.device)
+        return torch.lerp(lower.to(draws), upper.to(draws), draws)
+
+    def place(points: Tensor) -> Tensor:
+        moved = torch.where(M.to(points) != 0.0, M.to(points) * points[..., None, :], 0.0)
+        return base.to(points) + moved.sum(-1)
+
+    def pull(points: Tensor, gradient: Tensor) -> Tensor:
+        return (M.to(gradient) * gradient[..., :, None]).sum(-2)
+
+    return Space(lower, upper, sample, place, pull, lambda setups: setups[..., free.rows])
+
+
+def _free(lattice: Lattice, scenario: Scenario) -> Free:
+    """The parameters of boxes that are searched on a scenario."""
+    d, mirror = lattice.dimension, scenario.mirror
+    low, high, reach = (part.cpu().numpy() for part in (scenario.lower, scenario.upper, sizes(scenario)))
+    if lattice.turn is not None:
+        reach[list(lattice.turned)] = reach[list(lattice.turned)].max()
+    base = np.zeros(lattice.size)
+    columns: list[tuple[dict[int, float], float, float]] = []
+    for axis in range(d):
+        if mirror is not None and axis == mirror.axis:
+            base[axis] = mirror.at
+            reach[axis] = max(high[axis] - mirror.at, mirror.at - low[axis], reach[axis] / 2.0)
+        else:
+            columns.append(({axis: 1.0}, low[axis], high[axis]))
+    columns += [({d + axis: 1.0}, SMALLEST * reach[axis], reach[axis]) for axis in range(d)]
+    if lattice.turn is not None:
+        columns.append(({2 * d: 1.0}, -math.pi / 2.0, math.pi / 2.0))
+    begin = lattice.first_knot
+    for axis, k in enumerate(lattice.inner if lattice.knots else ()):
+        if mirror is not None and axis == mirror.axis:  # knots and their images
+            base[begin + (k + 1) // 2 : begin + k] = 1.0
+            base[begin + k // 2 : begin + (k + 1) // 2] = 0.5
+            columns += [({begin + j: 1.0, begin + k - 1 - j: -1.0}, KNOTS[0], 0.5) for j in range(k // 2)]
+        else:
+            columns += [({begin + j: 1.0}, *KNOTS) for j in range(k)]
+        begin += k
+    M = np.zeros((lattice.size, len(columns)))
+    for column, (entries, _, _) in enumerate(columns):
+        M[list(entries), column] = list(entries.values())
+    lower, upper = (np.array([column[i] for column in columns], dtype=np.float64) for i in (1, 2))
+    return Free(base, M, lower, upper, [next(iter(entries)) for entries, _, _ in columns])
+
+
+def around(lattice: Lattice, scenario: Scenario) -> Array:
+    """The genotype [D] of the smallest box around the design, a little larger, without a turn, knots evenly spaced.
+
+    Of a symmetric design it is symmetric about the plane.
+    """
+    from rbfevo.scoring.representations.bsplines import uniform
+
+    d, mirror = lattice.dimension, scenario.mirror
+    vertices = scenario.vertices.cpu().numpy()
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    if mirror is not None:
+        a, at = mirror.axis, mirror.at
+        farthest = max(high[a] - at, at - low[a])
+        low[a], high[a] = at - farthest, at + farthest
+    side = np.maximum(high - low, FLAT * float(np.linalg.norm(high - low)))
+    genotype = np.zeros(lattice.size)
+    genotype[:d] = (low + high) / 2.0
+    if mirror is not None:
+        genotype[mirror.axis] = mirror.at
+    genotype[d : 2 * d] = side * (1.0 + MARGIN) / 2.0
+    if lattice.knots:
+        every = [uniform(n, p) for n, p in zip(lattice.counts, lattice.degrees, strict=True)]
+        genotype[lattice.first_knot :] = np.concatenate(every)
+    return genotype
+
+
+def picks(whole: Array, count: int, of: int) -> Space:
+    """Setups of `count` among `of` control points of one box: they can be drawn, and not be searched."""
+    box = torch.from_numpy(whole)
+
+    def sample(number: int, generator: torch.Generator) -> Tensor:
+        draws = torch.rand(number, of, generator=generator, dtype=torch.float64, device=generator.device)
+        index = draws.argsort(dim=1)[:, :count].sort(dim=1).values.to(torch.float64)
+        return torch.cat((box.to(index).expand(number, -1), index), dim=1)
+
+    ends = [torch.cat((box, torch.full((count,), end, dtype=torch.float64))) for end in (0.0, of - 1.0)]
+    return Space(*ends, sample, lambda points: points, lambda points, gradient: gradient)
+
+
+def spread(scenario: Scenario, count: int) -> Array:
+    """Points S [count, d] among the vertices, far from each other: each the farthest from those before it.
+
+    The first is the farthest from the middle of the design. Of a symmetric design they are on one side of its plane;
+    held vertices are left out.
+
+    Raises:
+        UserError: if there are not as many vertices in different places.
+    """
+    design = scenario.half()
+    vertices = design.vertices.cpu().numpy()
+    if design.blend is not None:
+        vertices = vertices[design.blend.cpu().numpy() > 0.0]
+    if scenario.mirror is not None:
+        vertices = scenario.mirror.snapped(vertices)
+    middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2.0
+    chosen = [int(np.linalg.norm(vertices - middle, axis=1).argmax())]
+    nearest = np.linalg.norm(vertices - vertices[chosen[0]], axis=1)
+    for _ in range(count - 1):
+        if not nearest.max() > 0.0:
+            raise UserError(f"centers={count}: the design has only {len(chosen)} vertices in different places")
+        chosen.append(int(nearest.argmax()))
+        nearest = np.minimum(nearest, np.linalg.norm(vertices - vertices[chosen[-1]], axis=1))
+    return vertices[chosen]

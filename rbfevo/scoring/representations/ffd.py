@@ -1,0 +1,378 @@
+"""Free-form deformation: columns are the basis functions of a lattice of control points in a box, 0 outside it.
+
+Indirect manipulation moves the control points, U = B(X). Direct manipulation moves k points S on the surface by the
+least displacements of the control points that do so, U = B(X) B(S)^+ (Hsu, Hughes & Kaufman, "Direct manipulation of
+free-form deformations", SIGGRAPH 1992; Menzel, Olhofer & Sendhoff, "Direct manipulation of free form deformation in
+evolutionary design optimisation", PPSN 2006): its columns reach less than those of B(X), so that P and V depend on the
+manipulation.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from rbfevo.arrays import Array
+from rbfevo.errors import UserError
+from rbfevo.geometry.mirror import Mirror
+from rbfevo.geometry.namespaces import namespace
+from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.representations.lattice import Lattice
+from rbfevo.scoring.representations.representation import Reduced, Representation, Space, with_own_columns
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from rbfevo.scenarios.scenario import Scenario
+
+ACTIVE = ("all", "inner")
+EPS = float(np.finfo(float).eps)
+
+
+class Half(NamedTuple):
+    """Of a box that is symmetric about a plane, the control points on one side of it, the middle ones included.
+
+    Attributes:
+        axis: across the plane; side: +1 or -1, on which the control points are.
+        sign: +1 for components of a displacement along the plane; -1 across it, where the middle ones have no column.
+    """
+
+    axis: int
+    side: int = 1
+    sign: int = 1
+
+
+class FFD(Representation):
+    """Setups are genotypes [D] of `Lattice`; with picks, followed by the numbers [m] of the control points that move.
+
+    Args:
+        lattice: control points and basis functions.
+        still: layers of control points at each face of the box that do not move: displacements are 0 there with all
+            derivatives up to the order still - 1.
+        half: of a symmetric design, or None.
+        picked: how many control points of the lattice move, or None for all but the still ones.
+        surface: S [k, d] of direct manipulation, or None.
+    """
+
+    name = "ffd"
+    manipulations = ("indirect", "direct")
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        still: int = 0,
+        half: Half | None = None,
+        picked: int | None = None,
+        surface: Array | None = None,
+    ) -> None:
+        self.lattice, self.still, self.half, self.picked, self.surface = lattice, still, half, picked, surface
+        self.shape = (lattice.size + (picked or 0),)
+        self.layers = [self._layers(axis) for axis in range(lattice.dimension)]
+        self.asked = 0  # columns that a user wants; 0 for all
+        self.whole: Array | None = None  # the box around the design that control points are picked in
+
+    def _layers(self, axis: int) -> range:
+        """The layers of control points that move, of a mirrored axis those on one side."""
+        n = self.lattice.counts[axis]
+        first, end = self.still, n - self.still
+        if self.half is not None and axis == self.half.axis:
+            middle = 0 if self.half.sign > 0 else n % 2
+            if self.half.side > 0:
+                first = max(first, n // 2 + middle)
+            else:
+                end = min(end, (n + 1) // 2 - middle)
+        return range(first, max(first, end))
+
+    # --- columns --------------------------------------------------------------------------------------------------------
+
+    def columns(self, setups: Any) -> int:
+        """The control points that move."""
+        return self.active if self.picked is None else self.picked
+
+    def parameters(self, setups: Any) -> int:
+        """The control points that move, or the points on the surface."""
+        return self.columns(setups) if self.surface is None else len(self.surface)
+
+    @property
+    def active(self) -> int:
+        """How many control points can move, of a symmetric box on one side of its plane."""
+        return math.prod(len(layers) for layers in self.layers)
+
+    def phi(self, points: Any, setups: Any) -> Any:
+        """B [*pop, q, m] at points [q, d]."""
+        xp = namespace(points)
+        u, inside = self.lattice.local(points, setups)
+        found = xp.where(inside, 1.0, 0.0 * u[..., 0])[..., None]
+        for axis in range(self.lattice.dimension):
+            values = self._of_layers(self.lattice.values(u[..., axis], setups, axis), axis)
+            found = (found[..., :, None] * values[..., None, :]).reshape(*values.shape[:-1], -1)
+        return found if self.picked is None else self._of_picks(found, setups)
+
+    def _of_layers(self, values: Any, axis: int) -> Any:
+        """Basis functions [..., n] of an axis for the layers that move, of a mirrored one plus or minus their images."""
+        layers = self.layers[axis]
+        found = values[..., layers.start : layers.stop]
+        if self.half is None or axis != self.half.axis:
+            return found
+        n, images = self.lattice.counts[axis], namespace(values).flip(values, (-1,))[..., layers.start : layers.stop]
+        middle = [1.0 if 2 * layer == n - 1 else 0.0 for layer in layers]  # its own image, counted once
+        own = values.new_tensor(middle) if not isinstance(values, np.ndarray) else np.array(middle)
+        return found + self.half.sign * (1.0 - own) * images
+
+    def _of_picks(self, columns: Any, setups: Any) -> Any:
+        """Those [*pop, q, m] of columns [*pop, q, active] that genotypes pick."""
+        picks = setups[..., None, self.lattice.size :].round()
+        if isinstance(columns, np.ndarray):
+            index = np.clip(np.nan_to_num(picks), 0, self.active - 1).astype(np.int64)
+            return np.take_along_axis(columns, np.broadcast_to(index, (*columns.shape[:-1], self.picked or 0)), axis=-1)
+        index = picks.detach().nan_to_num().clamp(0, self.active - 1).long()
+        return columns.gather(-1, index.expand(*columns.shape[:-1], -1))
+
+    def places(self, setups: Any) -> Any:
+        """Where the control points [*pop, m, d] sit that move."""
+        every = self.lattice.places(setups[..., : self.lattice.size])
+        kept = every[(..., *(slice(layers.start, layers.stop) for layers in self.layers), slice(None))]
+        kept = kept.reshape(*setups.shape[:-1], self.active, self.lattice.dimension)
+        if self.picked is None:
+            return kept
+        return _swapped(self._of_picks(_swapped(kept), setups))
+
+    def handles(self, setups: Any) -> Any:
+        """The control points that move, or the points on the surface."""
+        if self.surface is None:
+            return self.places(setups)
+        shape = (*setups.shape[:-1], *self.surface.shape)
+        if isinstance(setups, np.ndarray):
+            return np.broadcast_to(self.surface, shape).copy()
+        return setups.new_tensor(self.surface).expand(shape)
+
+    # --- direct manipulation -------------------------------------------------------------------------------------------
+
+    def weights(self, setups: Any) -> Any:
+        """W = B(S)^+ [*pop, m, k]: singular values up to max(m, k) eps times the largest count as 0."""
+        if isinstance(setups, np.ndarray):
+            B = self.phi(self.surface, setups)
+            return np.linalg.pinv(B, rcond=max(B.shape[-2:]) * EPS)
+        import torch
+
+        B = self.phi(setups.new_tensor(self.surface), setups)
+        rtol = max(B.shape[-2:]) * EPS
+        each = [torch.linalg.pinv(one, rtol=rtol) for one in B.reshape(-1, *B.shape[-2:])]  # a batch may round otherwise
+        return torch.stack(each).reshape(*B.shape[:-2], B.shape[-1], B.shape[-2])
+
+    @property
+    def narrows(self) -> bool:
+        """With points on the surface, whose pseudoinverse may have any rank."""
+        return self.surface is not None
+
+    def reduce(self, setups: Tensor, factor: Tensor, manipulation: str) -> Reduced:
+        """B(S)^+, which always exists."""
+        import torch
+
+        from rbfevo.scoring.matrices import product
+
+        if self.surface is None:
+            return super().reduce(setups, factor, manipulation)
+        W = self.weights(setups)
+        return Reduced(product(W.mT, factor), W, torch.zeros(len(setups), dtype=torch.bool, device=factor.device))
+
+    def matrix(self, phi: Tensor, setup: Tensor, manipulation: str) -> Tensor:
+        """B(X), or B(X) B(S)^+."""
+        return phi if self.surface is None else phi @ self.weights(setup)
+
+    # --- runs -----------------------------------------------------------------------------------------------------------
+
+    def spec(self) -> dict[str, Any]:
+        """The lattice, what moves of it, and the points on the surface."""
+        lattice, half = self.lattice, self.half
+        return {
+            "target": f"{FFD.__module__}.{FFD.__qualname__}",
+            "lattice": list(lattice.counts),
+            "degree": list(lattice.degrees),
+            "turn": None if lattice.turn is None else "xyz"[lattice.turn],
+            "knots": lattice.knots,
+            "still": self.still,
+            "half": None if half is None else {"axis": "xyz"[half.axis], "side": half.side},
+            "picked": self.picked,
+            "surface": None if self.surface is None else self.surface.tolist(),
+        }
+
+    @classmethod
+    def of_spec(cls, **numbers: Any) -> FFD:
+        """What `spec` describes."""
+        turn, half, surface = numbers["turn"], numbers["half"], numbers["surface"]
+        lattice = Lattice(
+            tuple(numbers["lattice"]),
+            tuple(numbers["degree"]),
+            None if turn is None else "xyz".index(turn),
+            bool(numbers["knots"]),
+        )
+        return cls(
+            lattice,
+            int(numbers["still"]),
+            None if half is None else Half("xyz".index(half["axis"]), int(half["side"])),
+            numbers["picked"],
+            None if surface is None else np.array(surface, dtype=np.float64),
+        )
+
+    def _like(self, **changes: Any) -> FFD:
+        """The same with other arguments."""
+        parts = {name: getattr(self, name) for name in ("lattice", "still", "half", "picked", "surface")}
+        made = FFD(**{**parts, **changes})
+        made.asked, made.whole = self.asked, self.whole
+        return made
+
+    def symmetric(self, mirror: Mirror) -> tuple[FFD, FFD]:
+        """B_i + B_i' along the plane, and B_i - B_i' across it, of control points i and their images i'."""
+        half = self.half or Half(mirror.axis)
+        across = self.surface
+        if across is not None:
+            across = across[~mirror.on_plane(across)]
+        return self._like(half=half._replace(sign=1)), self._like(half=half._replace(sign=-1), surface=across)
+
+    def for_run(self, scenario: Scenario, manipulation: str) -> FFD:
+        """With the half of a symmetric design, the picks, and the points on the surface that `centers=` asks for.
+
+        Raises:
+            UserError: if the lattice does not fit the scenario, or has fewer control points than are asked for.
+        """
+        from rbfevo.scoring.representations import boxes
+
+        boxes.refuse_unfit(self.lattice, scenario)
+        made = copy.copy(self)
+        if scenario.mirror is not None:
+            made = made._like(half=Half(scenario.mirror.axis, int(scenario.side)))
+        asked = made.asked or made.active
+        shown = " x ".join(map(str, self.lattice.counts))
+        side = "" if scenario.mirror is None else " on one side of the symmetry plane"
+        if not made.active or asked > made.active:
+            raise UserError(
+                f"centers={asked}: the lattice {shown} has {made.active} control points that move{side}; leave centers= "
+                "out, or give a finer lattice"
+            )
+        if manipulation == "direct":
+            return made._like(surface=boxes.spread(scenario, asked))
+        if asked < made.active:
+            made = made._like(picked=asked)
+        made.whole = boxes.around(self.lattice, scenario)
+        return made
+
+    def refuse_search(self, method: str) -> None:
+        """Raise UserError where control points are picked: they have numbers, not places that could be searched."""
+        if self.picked is not None:
+            shown = " x ".join(map(str, self.lattice.counts))
+            raise UserError(
+                f"centers={self.picked}: {self.active} control points of the lattice {shown} can move, and "
+                f"method={method} moves all of them; leave centers= out, or let method=ols pick {self.picked}"
+            )
+
+    def doubts(self, scenario: Scenario) -> list[str]:
+        """A line where a scenario keeps a region free of centers, which a box cannot."""
+        if scenario.keep_out is None:
+            return []
+        return [
+            "scenario.keep_out: a box of representation=ffd covers what it holds, also the region that is kept free of "
+            "centers; held vertices do not move all the same"
+        ]
+
+    def space(self, scenario: Scenario, centers: int) -> Space:
+        """Boxes with their centre in the scenario's, from small ones to those that hold the whole design."""
+        from rbfevo.scoring.representations import boxes
+
+        if self.picked is not None and self.whole is not None:
+            return boxes.picks(self.whole, self.picked, self.active)
+        return boxes.search_space(self.lattice, scenario)
+
+
+def _swapped(array: Any) -> Any:
+    """The last two dimensions of an array exchanged."""
+    return array.swapaxes(-1, -2)
+
+
+@with_own_columns
+def ffd(
+    scenario: Scenario,
+    kernel: Kernel,
+    centers: int,
+    lattice: Sequence[int],
+    degree: Any = None,
+    active: str = "all",
+    continuity: int = 0,
+    turn: str | None = None,
+    knots: bool = False,
+) -> FFD:
+    """A lattice for a scenario.
+
+    Args:
+        scenario, kernel, centers: what every representation is made of; the kernel plays no part. As many `centers` as
+            control points move, or 0; fewer are picked, or are points on the surface.
+        lattice: control points along each axis, at least 2.
+        degree: of B-splines, a number or one for each axis; None for Bernstein polynomials, the highest there is.
+        active: `all` control points move, or only `inner` ones: not those at the faces of the box.
+        continuity: with `inner`, the order up to which derivatives of displacements are 0 at the faces.
+        turn: `up` or an axis that boxes may be turned about, or None.
+        knots: whether inner knots of B-splines are searched.
+
+    Raises:
+        UserError: if a setting does not fit the others.
+    """
+    d = scenario.vertices.shape[1]
+    counts = list(lattice)
+    if len(counts) != d or any(isinstance(n, bool) or not isinstance(n, int) or n < 2 for n in counts):
+        raise UserError(
+            f"representation.lattice={counts}: give {d} whole numbers of at least 2, the control points along "
+            f"{', '.join('xyz'[:d])}"
+        )
+    degrees = _degrees(degree, counts)
+    if active not in ACTIVE:
+        raise UserError(f"representation.active={active}: choose one of {', '.join(ACTIVE)}")
+    if active == "all" and continuity != 0:
+        raise UserError(f"representation.continuity={continuity} is for representation.active=inner; leave it out")
+    if continuity < 0:
+        raise UserError(f"representation.continuity={continuity}: give an order of at least 0")
+    still = continuity + 1 if active == "inner" else 0
+    if min(counts) <= 2 * still:
+        raise UserError(
+            f"representation.continuity={continuity}: the outer {still} layers of each face stay still, and a lattice of "
+            f"{' x '.join(map(str, counts))} has no others; give at least {2 * still + 1} control points along each axis"
+        )
+    made = Lattice(tuple(counts), degrees, _turn(turn, scenario), knots)
+    if knots and not sum(made.inner):
+        raise UserError(
+            "representation.knots=true: these basis functions have no inner knots; give a representation.degree below "
+            "the number of control points less 1"
+        )
+    found = FFD(made, still)
+    found.asked = centers
+    return found
+
+
+def _degrees(degree: Any, counts: list[int]) -> tuple[int, ...]:
+    """The degree of each axis."""
+    if degree is None:
+        return tuple(n - 1 for n in counts)
+    each = list(degree) if isinstance(degree, list | tuple) else [degree] * len(counts)
+    whole = all(isinstance(p, int) and not isinstance(p, bool) and p >= 1 for p in each)
+    if len(each) != len(counts) or not whole:
+        raise UserError(f"representation.degree={degree}: give a whole number of at least 1, or one for each axis")
+    for axis, (p, n) in enumerate(zip(each, counts, strict=True)):
+        if p > n - 1:
+            raise UserError(
+                f"representation.degree={degree}: {n} control points along {'xyz'[axis]} have at most the degree {n - 1}"
+            )
+    return tuple(each)
+
+
+def _turn(turn: str | None, scenario: Scenario) -> int | None:
+    """The axis that boxes may be turned about."""
+    if turn is None:
+        return None
+    d = scenario.vertices.shape[1]
+    axes = {"up": 2 if d == 2 else "xyz".index(scenario.up), **({"x": 0, "y": 1} if d == 3 else {}), "z": 2}
+    if turn not in axes:
+        raise UserError(f"representation.turn={turn}: choose one of {', '.join(axes)}, or null")
+    return axes[turn]
