@@ -5,4 +5,16 @@ from rbfevo.scoring.representations.kept import beginning_with, keeping
 from rbfevo.scoring.representations.rbf import RBF, rbf
 from rbfevo.scoring.representations.representation import Pull, Reduced, Representation, Space, representation_of
 
-__all__ = ["FFD", "RBF", "Pull", "Reduced", "Representation", "Space", "beginning_with", "ffd", "keeping", "rbf", "representation_of"]
+__all__ = [
+    "FFD",
+    "RBF",
+    "Pull",
+    "Reduced",
+    "Representation",
+    "Space",
+    "beginning_with",
+    "ffd",
+    "keeping",
+    "rbf",
+    "representation_of",
+]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from rbfevo.arrays import Array
+from rbfevo.choices import refuse_others
 from rbfevo.errors import UserError
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.representations.lattice import Lattice
@@ -17,6 +19,8 @@ from rbfevo.scoring.representations.representation import Space
 
 SMALLEST = 0.05  # half an axis of the smallest box, of the design's size along it
 FLAT = 0.1  # of the diagonal: a design that is flatter counts as that thick
+ACTIVE = ("all", "inner")
+DEFAULT = 4  # control points along each axis
 KNOTS = (0.02, 0.98)  # where inner knots are searched
 MARGIN = 1e-6  # of its size: by so much the box around the design is larger
 
@@ -33,6 +37,69 @@ class Free(NamedTuple):
     lower: Array
     upper: Array
     rows: list[int]
+
+
+def checked(
+    scenario: Scenario, lattice: Any, degree: Any, active: str, continuity: int, turn: str | None, knots: bool
+) -> tuple[Lattice, int]:
+    """The lattice that the keys of the yaml describe, and how many layers at each face stay still.
+
+    Raises:
+        UserError: if a key has no such value, or does not fit the others.
+    """
+    d = scenario.vertices.shape[1]
+    counts = [DEFAULT] * d if lattice is None else list(lattice) if isinstance(lattice, Sequence) else [lattice]
+    if len(counts) != d or any(isinstance(n, bool) or not isinstance(n, int) or n < 2 for n in counts):
+        raise UserError(
+            f"representation.lattice={counts}: give {d} whole numbers of at least 2, the control points along "
+            f"{', '.join('xyz'[:d])}"
+        )
+    degrees = _degrees(degree, counts)
+    refuse_others("representation.active", active, ACTIVE)
+    if active == "all" and continuity != 0:
+        raise UserError(f"representation.continuity={continuity} is for representation.active=inner; leave it out")
+    if continuity < 0:
+        raise UserError(f"representation.continuity={continuity}: give an order of at least 0")
+    still = continuity + 1 if active == "inner" else 0
+    if min(counts) <= 2 * still:
+        raise UserError(
+            f"representation.continuity={continuity}: the outer {still} layers at each face stay still, and the lattice "
+            f"{' x '.join(map(str, counts))} has no others; give at least {2 * still + 1} control points along each axis"
+        )
+    made = Lattice(tuple(counts), degrees, _turn(turn, scenario), knots)
+    if knots and not sum(made.inner):
+        raise UserError(
+            "representation.knots=true: these basis functions have no inner knots; give a representation.degree below "
+            "the number of control points less 1"
+        )
+    return made, still
+
+
+def _degrees(degree: Any, counts: list[int]) -> tuple[int, ...]:
+    """The degree of each axis."""
+    if degree is None:
+        return tuple(n - 1 for n in counts)
+    each = list(degree) if isinstance(degree, list | tuple) else [degree] * len(counts)
+    whole = all(isinstance(p, int) and not isinstance(p, bool) and p >= 1 for p in each)
+    if len(each) != len(counts) or not whole:
+        raise UserError(f"representation.degree={degree}: give a whole number of at least 1, or one for each axis")
+    for axis, (p, n) in enumerate(zip(each, counts, strict=True)):
+        if p > n - 1:
+            raise UserError(
+                f"representation.degree={degree}: {n} control points along {'xyz'[axis]} have at most degree {n - 1}"
+            )
+    return tuple(each)
+
+
+def _turn(turn: str | None, scenario: Scenario) -> int | None:
+    """The axis that boxes may be turned about."""
+    if turn is None:
+        return None
+    d = scenario.vertices.shape[1]
+    axes = {"up": 2 if d == 2 else "xyz".index(scenario.up), **({"x": 0, "y": 1} if d == 3 else {}), "z": 2}
+    if turn not in axes:
+        raise UserError(f"representation.turn={turn}: choose one of {', '.join(axes)}, or null")
+    return axes[turn]
 
 
 def refuse_unfit(lattice: Lattice, scenario: Scenario) -> None:
@@ -139,8 +206,8 @@ def picks(whole: Array, count: int, of: int) -> Space:
         index = draws.argsort(dim=1)[:, :count].sort(dim=1).values.to(torch.float64)
         return torch.cat((box.to(index).expand(number, -1), index), dim=1)
 
-    ends = [torch.cat((box, torch.full((count,), end, dtype=torch.float64))) for end in (0.0, of - 1.0)]
-    return Space(*ends, sample, lambda points: points, lambda points, gradient: gradient)
+    lower, upper = (torch.cat((box, torch.full((count,), end, dtype=torch.float64))) for end in (0.0, of - 1.0))
+    return Space(lower, upper, sample, lambda points: points, lambda points, gradient: gradient)
 
 
 def spread(scenario: Scenario, count: int) -> Array:

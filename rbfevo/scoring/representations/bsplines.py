@@ -6,6 +6,7 @@ is 0, of knots that coincide, count as 0.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -57,13 +58,12 @@ def basis(u: Any, knots: Any, degree: int) -> Any:
 
 def bernstein(u: Any, degree: int) -> Any:
     """Bernstein polynomials [..., degree + 1] of a degree at u [...]: binomial(p, i) u^i (1 - u)^(p - i)."""
-    xp, u = namespace(u), u[..., None]
-    found = 0.0 * u + 1.0
-    for _ in range(degree):
-        nothing = 0.0 * u
-        lower, upper = (1.0 - u) * found, u * found
-        found = _joined(xp, (lower, nothing)) + _joined(xp, (nothing, upper))
-    return found
+    powers = np.arange(degree + 1.0)
+    choices = np.array([math.comb(degree, i) for i in range(degree + 1)], dtype=np.float64)
+    u = u[..., None]
+    if not isinstance(u, np.ndarray):
+        powers, choices = u.new_tensor(powers), u.new_tensor(choices)
+    return choices * u**powers * (1.0 - u) ** (degree - powers)
 
 
 def slopes(u: Any, knots: Any, degree: int) -> Any:

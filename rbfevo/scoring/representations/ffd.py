@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
     from rbfevo.scenarios.scenario import Scenario
 
-ACTIVE = ("all", "inner")
 EPS = float(np.finfo(float).eps)
 
 
@@ -59,6 +57,7 @@ class FFD(Representation):
     """
 
     name = "ffd"
+    block = 4096
     manipulations = ("indirect", "direct")
 
     def __init__(
@@ -87,7 +86,7 @@ class FFD(Representation):
                 end = min(end, (n + 1) // 2 - middle)
         return range(first, max(first, end))
 
-    # --- columns --------------------------------------------------------------------------------------------------------
+    # --- columns ------------------------------------------------------------------------------------------------------
 
     def columns(self, setups: Any) -> int:
         """The control points that move."""
@@ -113,7 +112,7 @@ class FFD(Representation):
         return found if self.picked is None else self._of_picks(found, setups)
 
     def _of_layers(self, values: Any, axis: int) -> Any:
-        """Basis functions [..., n] of an axis for the layers that move, of a mirrored one plus or minus their images."""
+        """Basis functions [..., n] of an axis for the layers that move, of a mirrored one with their images."""
         layers = self.layers[axis]
         found = values[..., layers.start : layers.stop]
         if self.half is None or axis != self.half.axis:
@@ -131,6 +130,24 @@ class FFD(Representation):
             return np.take_along_axis(columns, np.broadcast_to(index, (*columns.shape[:-1], self.picked or 0)), axis=-1)
         index = picks.detach().nan_to_num().clamp(0, self.active - 1).long()
         return columns.gather(-1, index.expand(*columns.shape[:-1], -1))
+
+    def pull(self, points: Tensor, setups: Tensor, gradient: Tensor) -> Tensor | None:
+        """By the derivatives of the basis functions in the box; None where knots are searched."""
+        import torch
+
+        if self.lattice.knots or self.picked is not None:
+            return None
+        d = self.lattice.dimension
+        u, inside = self.lattice.local(points, setups)
+        rest = gradient.mT.unflatten(-1, [len(layers) for layers in self.layers])
+        whole, slopes = torch.where(inside[(..., *[None] * d)], rest, 0.0), {}
+        for axis in reversed(range(d)):
+            values = self._of_layers(self.lattice.values(u[..., axis], setups, axis), axis)
+            steep = self._of_layers(self.lattice.slopes(u[..., axis], setups, axis), axis)
+            slopes = {own: _contracted(part, values) for own, part in slopes.items()}
+            slopes[axis], whole = _contracted(whole, steep), _contracted(whole, values)
+        du = torch.stack([slopes[axis] for axis in range(d)], dim=-1)
+        return self.lattice.pull(points, setups, du)
 
     def places(self, setups: Any) -> Any:
         """Where the control points [*pop, m, d] sit that move."""
@@ -150,7 +167,7 @@ class FFD(Representation):
             return np.broadcast_to(self.surface, shape).copy()
         return setups.new_tensor(self.surface).expand(shape)
 
-    # --- direct manipulation -------------------------------------------------------------------------------------------
+    # --- direct manipulation ------------------------------------------------------------------------------------------
 
     def weights(self, setups: Any) -> Any:
         """W = B(S)^+ [*pop, m, k]: singular values up to max(m, k) eps times the largest count as 0."""
@@ -161,7 +178,9 @@ class FFD(Representation):
 
         B = self.phi(setups.new_tensor(self.surface), setups)
         rtol = max(B.shape[-2:]) * EPS
-        each = [torch.linalg.pinv(one, rtol=rtol) for one in B.reshape(-1, *B.shape[-2:])]  # a batch may round otherwise
+        each = [
+            torch.linalg.pinv(one, rtol=rtol) for one in B.reshape(-1, *B.shape[-2:])
+        ]  # a batch may round otherwise
         return torch.stack(each).reshape(*B.shape[:-2], B.shape[-1], B.shape[-2])
 
     @property
@@ -184,7 +203,7 @@ class FFD(Representation):
         """B(X), or B(X) B(S)^+."""
         return phi if self.surface is None else phi @ self.weights(setup)
 
-    # --- runs -----------------------------------------------------------------------------------------------------------
+    # --- runs ---------------------------------------------------------------------------------------------------------
 
     def spec(self) -> dict[str, Any]:
         """The lattice, what moves of it, and the points on the surface."""
@@ -251,8 +270,8 @@ class FFD(Representation):
         side = "" if scenario.mirror is None else " on one side of the symmetry plane"
         if not made.active or asked > made.active:
             raise UserError(
-                f"centers={asked}: the lattice {shown} has {made.active} control points that move{side}; leave centers= "
-                "out, or give a finer lattice"
+                f"centers={asked}: the lattice {shown} has {made.active} control points that move{side}; leave "
+                "centers= out, or give a finer lattice"
             )
         if manipulation == "direct":
             return made._like(surface=boxes.spread(scenario, asked))
@@ -288,6 +307,12 @@ class FFD(Representation):
         return boxes.search_space(self.lattice, scenario)
 
 
+def _contracted(rest: Tensor, values: Tensor) -> Tensor:
+    """The sum over the last axis of `rest` [p, q, ..., n] with values [p, q, n]."""
+    shape = (*values.shape[:2], *[1] * (rest.ndim - 3), values.shape[2])
+    return (rest * values.reshape(shape)).sum(-1)
+
+
 def _swapped(array: Any) -> Any:
     """The last two dimensions of an array exchanged."""
     return array.swapaxes(-1, -2)
@@ -298,7 +323,7 @@ def ffd(
     scenario: Scenario,
     kernel: Kernel,
     centers: int,
-    lattice: Sequence[int],
+    lattice: Any = None,
     degree: Any = None,
     active: str = "all",
     continuity: int = 0,
@@ -310,7 +335,7 @@ def ffd(
     Args:
         scenario, kernel, centers: what every representation is made of; the kernel plays no part. As many `centers` as
             control points move, or 0; fewer are picked, or are points on the surface.
-        lattice: control points along each axis, at least 2.
+        lattice: control points along each axis, at least 2; None for 4.
         degree: of B-splines, a number or one for each axis; None for Bernstein polynomials, the highest there is.
         active: `all` control points move, or only `inner` ones: not those at the faces of the box.
         continuity: with `inner`, the order up to which derivatives of displacements are 0 at the faces.
@@ -320,59 +345,8 @@ def ffd(
     Raises:
         UserError: if a setting does not fit the others.
     """
-    d = scenario.vertices.shape[1]
-    counts = list(lattice)
-    if len(counts) != d or any(isinstance(n, bool) or not isinstance(n, int) or n < 2 for n in counts):
-        raise UserError(
-            f"representation.lattice={counts}: give {d} whole numbers of at least 2, the control points along "
-            f"{', '.join('xyz'[:d])}"
-        )
-    degrees = _degrees(degree, counts)
-    if active not in ACTIVE:
-        raise UserError(f"representation.active={active}: choose one of {', '.join(ACTIVE)}")
-    if active == "all" and continuity != 0:
-        raise UserError(f"representation.continuity={continuity} is for representation.active=inner; leave it out")
-    if continuity < 0:
-        raise UserError(f"representation.continuity={continuity}: give an order of at least 0")
-    still = continuity + 1 if active == "inner" else 0
-    if min(counts) <= 2 * still:
-        raise UserError(
-            f"representation.continuity={continuity}: the outer {still} layers of each face stay still, and a lattice of "
-            f"{' x '.join(map(str, counts))} has no others; give at least {2 * still + 1} control points along each axis"
-        )
-    made = Lattice(tuple(counts), degrees, _turn(turn, scenario), knots)
-    if knots and not sum(made.inner):
-        raise UserError(
-            "representation.knots=true: these basis functions have no inner knots; give a representation.degree below "
-            "the number of control points less 1"
-        )
-    found = FFD(made, still)
+    from rbfevo.scoring.representations import boxes
+
+    found = FFD(*boxes.checked(scenario, lattice, degree, active, continuity, turn, knots))
     found.asked = centers
     return found
-
-
-def _degrees(degree: Any, counts: list[int]) -> tuple[int, ...]:
-    """The degree of each axis."""
-    if degree is None:
-        return tuple(n - 1 for n in counts)
-    each = list(degree) if isinstance(degree, list | tuple) else [degree] * len(counts)
-    whole = all(isinstance(p, int) and not isinstance(p, bool) and p >= 1 for p in each)
-    if len(each) != len(counts) or not whole:
-        raise UserError(f"representation.degree={degree}: give a whole number of at least 1, or one for each axis")
-    for axis, (p, n) in enumerate(zip(each, counts, strict=True)):
-        if p > n - 1:
-            raise UserError(
-                f"representation.degree={degree}: {n} control points along {'xyz'[axis]} have at most the degree {n - 1}"
-            )
-    return tuple(each)
-
-
-def _turn(turn: str | None, scenario: Scenario) -> int | None:
-    """The axis that boxes may be turned about."""
-    if turn is None:
-        return None
-    d = scenario.vertices.shape[1]
-    axes = {"up": 2 if d == 2 else "xyz".index(scenario.up), **({"x": 0, "y": 1} if d == 3 else {}), "z": 2}
-    if turn not in axes:
-        raise UserError(f"representation.turn={turn}: choose one of {', '.join(axes)}, or null")
-    return axes[turn]

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rbfevo.geometry.namespaces import namespace
 from rbfevo.scoring.representations import bsplines
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 EDGE = 1e-9  # of a side of the box: so far outside a point still belongs to it; rounding
 
@@ -75,6 +78,24 @@ class Lattice:
             inside = (abs(u - 0.5) <= 0.5 + EDGE).all(-1) & (half > 0.0).all(-1)
         return xp.where(inside[..., None], u, 0.5).clip(0.0, 1.0), inside
 
+    def pull(self, points: Tensor, genotypes: Tensor, du: Tensor) -> Tensor:
+        """The gradient [p, D] of a function whose gradient in the coordinates of points [q, d] is du [p, q, d].
+
+        Inner knots get none.
+        """
+        import torch
+
+        d, (a, b) = self.dimension, self.turned
+        away, half = self.away(points, genotypes), genotypes[:, None, d : 2 * d]
+        dv = du / (2.0 * half)
+        found = torch.zeros_like(genotypes)
+        found[:, d : 2 * d] = -(dv * away / half).sum(1)
+        if self.turn is not None:
+            found[:, 2 * d] = (dv[..., a] * away[..., b] - dv[..., b] * away[..., a]).sum(1)
+            dv = self._rotated(dv, genotypes[:, None, 2 * d])
+        found[:, :d] = -dv.sum(1)
+        return found
+
     def knots_of(self, genotypes: Any, axis: int) -> Any:
         """Clamped knots [*pop, n + p + 1] of an axis."""
         k, p = self.inner[axis], self.degrees[axis]
@@ -86,14 +107,15 @@ class Lattice:
 
     def values(self, u: Any, genotypes: Any, axis: int) -> Any:
         """The basis functions [*pop, q, n] of an axis at its coordinates u [*pop, q]."""
-        return bsplines.basis(u, self.knots_of(genotypes, axis), self.degrees[axis])
+        p = self.degrees[axis]
+        return bsplines.basis(u, self.knots_of(genotypes, axis), p) if self.inner[axis] else bsplines.bernstein(u, p)
 
     def slopes(self, u: Any, genotypes: Any, axis: int) -> Any:
         """Their derivatives [*pop, q, n] by u."""
         return bsplines.slopes(u, self.knots_of(genotypes, axis), self.degrees[axis])
 
     def places(self, genotypes: Any) -> Any:
-        """The control points [*pop, n_1, ..., n_d, d] in space, where they deform nothing: at the Greville abscissae."""
+        """The control points [*pop, n_1, ..., n_d, d] that deform nothing: at the Greville abscissae."""
         xp, d = namespace(genotypes), self.dimension
         pop, grids = genotypes.shape[:-1], []
         for axis, count in enumerate(self.counts):

@@ -76,12 +76,14 @@ class Representation(abc.ABC):
         dims: dimensions of one setup.
         manipulations: those that it offers.
         shape: of one setup, or None where any number of centers will do.
+        block: vertices at a time on the CPU, where there are no fused kernels.
     """
 
     name: str = ""
     dims: int = 1
     manipulations: tuple[str, ...] = ("indirect",)
     shape: tuple[int, ...] | None = None
+    block: int = 1024
 
     @abc.abstractmethod
     def phi(self, points: Any, setups: Any) -> Any:
