@@ -203,13 +203,14 @@ class Evaluator:
         if self.deformation.manipulation != "indirect":
             L, _, undetermined = self.representation.reduce(setups, L, self.deformation.manipulation)
             lost |= undetermined
-            if L.shape[1] != L.shape[2]:  # fewer parameters than columns: they reach less
-                return self._narrow(L, y, undetermined, usable & ~deficient)  # the definition scores those
+            if L.shape[1] != L.shape[2] or self.representation.narrows:  # they reach less than the columns
+                sound = usable & ~deficient & (rank == L.shape[2])  # the definition scores the others
+                return self.narrow(L, y, undetermined, sound)
         sigma = singular_values(L)
         return Singular(sigma[:, 0], sigma[:, -1], lost, potentials, rank, usable)
 
-    def _narrow(self, factor: Tensor, y: Tensor, lost: Tensor, usable: Tensor) -> Singular:
-        """Singular values, P and rank of U = Q T^T W from `factor` [p, m, r], m < r, and y = Q^T g."""
+    def narrow(self, factor: Tensor, y: Tensor, lost: Tensor, usable: Tensor) -> Singular:
+        """Singular values, P and rank of U = Q T^T W from `factor` [p, m, r] and y = Q^T g."""
         parts = []
         for one, coordinates in zip(factor, y, strict=True):  # one at a time: in a batch LAPACK may round otherwise
             left, sigma, _ = torch.linalg.svd(one.mT, full_matrices=False)

@@ -25,18 +25,23 @@ KNOTS = (0.02, 0.98)  # where inner knots are searched
 MARGIN = 1e-6  # of its size: by so much the box around the design is larger
 
 
-class Free(NamedTuple):
-    """Genotypes base + M p of free parameters p in a box.
+class Parameter(NamedTuple):
+    """A free parameter of genotypes.
 
     Attributes:
-        base: [D]; M: [D, f]; lower, upper: [f]; rows: [f] of the genotype that are the parameters themselves.
+        entries: by how much each number of the genotype rises with it; read: it is the sum of these times the numbers.
+        lower, upper: where it is searched.
     """
 
-    base: Array
-    M: Array
-    lower: Array
-    upper: Array
-    rows: list[int]
+    entries: dict[int, float]
+    read: dict[int, float]
+    lower: float
+    upper: float
+
+
+def same(place: int, lower: float, upper: float) -> Parameter:
+    """A parameter that is a number of the genotype itself."""
+    return Parameter({place: 1.0}, {place: 1.0}, lower, upper)
 
 
 def checked(
@@ -63,8 +68,8 @@ def checked(
     still = continuity + 1 if active == "inner" else 0
     if min(counts) <= 2 * still:
         raise UserError(
-            f"representation.continuity={continuity}: the outer {still} layers at each face stay still, and the lattice "
-            f"{' x '.join(map(str, counts))} has no others; give at least {2 * still + 1} control points along each axis"
+            f"representation.continuity={continuity}: the outer {still} layers at each face stay still, and there are no "
+            f"others in the lattice {' x '.join(map(str, counts))}; give at least {2 * still + 1} along each axis"
         )
     made = Lattice(tuple(counts), degrees, _turn(turn, scenario), knots)
     if knots and not sum(made.inner):
@@ -116,59 +121,79 @@ def sizes(scenario: Scenario) -> Tensor:
     return (scenario.upper - scenario.lower).clamp(min=FLAT * scenario.diagonal)
 
 
-def search_space(lattice: Lattice, scenario: Scenario) -> Space:
+def search_space(lattice: Lattice, scenario: Scenario, surface: Array | None = None) -> Space:
     """Boxes with their centre in the scenario's box, and half axes from `SMALLEST` to 1 of its sides.
 
-    Boxes of a symmetric design are symmetric about its plane.
+    Boxes of a symmetric design are symmetric about its plane. With points on the surface [k, d], which boxes that leave
+    one of them out cannot move, faces lie from these on to a side of the scenario's box beyond it.
     """
-    free = _free(lattice, scenario)
-    base, M, lower, upper = (torch.from_numpy(array) for array in free[:4])
+    base, parameters = _parameters(lattice, scenario, surface)
+    M, read = (np.zeros((lattice.size, len(parameters))) for _ in range(2))
+    for column, one in enumerate(parameters):
+        M[list(one.entries), column] = list(one.entries.values())
+        read[list(one.read), column] = list(one.read.values())
+    lower, upper = (torch.tensor([one[i] for one in parameters], dtype=torch.float64) for i in (2, 3))
 
     def sample(count: int, generator: torch.Generator) -> Tensor:
         draws = torch.rand(count, len(lower), generator=generator, dtype=torch.float64, device=generator.device)
         return torch.lerp(lower.to(draws), upper.to(draws), draws)
 
-    def place(points: Tensor) -> Tensor:
-        moved = torch.where(M.to(points) != 0.0, M.to(points) * points[..., None, :], 0.0)
-        return base.to(points) + moved.sum(-1)
+    return Space(
+        lower,
+        upper,
+        sample,
+        lambda points: points.new_tensor(base) + _mapped(M, points),
+        lambda points, gradient: _mapped(M.T, gradient),
+        lambda setups: _mapped(read.T, setups),
+    )
 
-    def pull(points: Tensor, gradient: Tensor) -> Tensor:
-        return (M.to(gradient) * gradient[..., :, None]).sum(-2)
 
-    return Space(lower, upper, sample, place, pull, lambda setups: setups[..., free.rows])
+def _mapped(M: Array, rows: Tensor) -> Tensor:
+    """M times each of rows [..., c], added up in one order; NaN stays where it belongs."""
+    matrix = rows.new_tensor(M)
+    return torch.where(matrix != 0.0, matrix * rows[..., None, :], 0.0).sum(-1)
 
 
-def _free(lattice: Lattice, scenario: Scenario) -> Free:
-    """The parameters of boxes that are searched on a scenario."""
+def _parameters(lattice: Lattice, scenario: Scenario, surface: Array | None) -> tuple[Array, list[Parameter]]:
+    """The parameters of boxes that are searched on a scenario, and the genotype [D] where all of them are 0."""
     d, mirror = lattice.dimension, scenario.mirror
-    low, high, reach = (part.cpu().numpy() for part in (scenario.lower, scenario.upper, sizes(scenario)))
+    low, high, side = (part.cpu().numpy() for part in (scenario.lower, scenario.upper, sizes(scenario)))
+    reach = side.copy()
     if lattice.turn is not None:
         reach[list(lattice.turned)] = reach[list(lattice.turned)].max()
-    base = np.zeros(lattice.size)
-    columns: list[tuple[dict[int, float], float, float]] = []
+    base, centres, halves = np.zeros(lattice.size), [], []
     for axis in range(d):
+        least = SMALLEST * reach[axis]
         if mirror is not None and axis == mirror.axis:
             base[axis] = mirror.at
-            reach[axis] = max(high[axis] - mirror.at, mirror.at - low[axis], reach[axis] / 2.0)
+            most = max(high[axis] - mirror.at, mirror.at - low[axis], reach[axis] / 2.0)
+            if surface is not None:
+                least = max(least, (1.0 + MARGIN) * float(np.abs(surface[:, axis] - mirror.at).max()))
+            halves.append(same(d + axis, least, max(most, 2.0 * least)))
+        elif surface is None:
+            centres.append(same(axis, low[axis], high[axis]))
+            halves.append(same(d + axis, least, reach[axis]))
         else:
-            columns.append(({axis: 1.0}, low[axis], high[axis]))
-    columns += [({d + axis: 1.0}, SMALLEST * reach[axis], reach[axis]) for axis in range(d)]
+            first, last = surface[:, axis].min() - MARGIN * side[axis], surface[:, axis].max() + MARGIN * side[axis]
+            face = {axis: 0.5, d + axis: -0.5}, {axis: 1.0, d + axis: -1.0}
+            centres.append(Parameter(*face, min(low[axis], first) - reach[axis], first))
+            face = {axis: 0.5, d + axis: 0.5}, {axis: 1.0, d + axis: 1.0}
+            halves.append(Parameter(*face, last, max(high[axis], last) + reach[axis]))
+    found = [*centres, *halves]
     if lattice.turn is not None:
-        columns.append(({2 * d: 1.0}, -math.pi / 2.0, math.pi / 2.0))
+        found.append(same(2 * d, -math.pi / 2.0, math.pi / 2.0))
     begin = lattice.first_knot
     for axis, k in enumerate(lattice.inner if lattice.knots else ()):
         if mirror is not None and axis == mirror.axis:  # knots and their images
             base[begin + (k + 1) // 2 : begin + k] = 1.0
             base[begin + k // 2 : begin + (k + 1) // 2] = 0.5
-            columns += [({begin + j: 1.0, begin + k - 1 - j: -1.0}, KNOTS[0], 0.5) for j in range(k // 2)]
+            for j in range(k // 2):
+                entries = {begin + j: 1.0, begin + k - 1 - j: -1.0}
+                found.append(Parameter(entries, {begin + j: 1.0}, KNOTS[0], 0.5))
         else:
-            columns += [({begin + j: 1.0}, *KNOTS) for j in range(k)]
+            found += [same(begin + j, *KNOTS) for j in range(k)]
         begin += k
-    M = np.zeros((lattice.size, len(columns)))
-    for column, (entries, _, _) in enumerate(columns):
-        M[list(entries), column] = list(entries.values())
-    lower, upper = (np.array([column[i] for column in columns], dtype=np.float64) for i in (1, 2))
-    return Free(base, M, lower, upper, [next(iter(entries)) for entries, _, _ in columns])
+    return base, found
 
 
 def around(lattice: Lattice, scenario: Scenario) -> Array:

@@ -108,7 +108,8 @@ class FFD(Representation):
         found = xp.where(inside, 1.0, 0.0 * u[..., 0])[..., None]
         for axis in range(self.lattice.dimension):
             values = self._of_layers(self.lattice.values(u[..., axis], setups, axis), axis)
-            found = (found[..., :, None] * values[..., None, :]).reshape(*values.shape[:-1], -1)
+            product = found[..., :, None] * values[..., None, :]
+            found = product.reshape(*values.shape[:-1], product.shape[-2] * product.shape[-1])
         return found if self.picked is None else self._of_picks(found, setups)
 
     def _of_layers(self, values: Any, axis: int) -> Any:
@@ -181,7 +182,7 @@ class FFD(Representation):
         each = [
             torch.linalg.pinv(one, rtol=rtol) for one in B.reshape(-1, *B.shape[-2:])
         ]  # a batch may round otherwise
-        return torch.stack(each).reshape(*B.shape[:-2], B.shape[-1], B.shape[-2])
+        return torch.stack(each).reshape(B.mT.shape) if each else B.mT
 
     @property
     def narrows(self) -> bool:
@@ -198,6 +199,14 @@ class FFD(Representation):
             return super().reduce(setups, factor, manipulation)
         W = self.weights(setups)
         return Reduced(product(W.mT, factor), W, torch.zeros(len(setups), dtype=torch.bool, device=factor.device))
+
+    def pull_weights(self, setups: Tensor, gradient: Tensor) -> Tensor:
+        """By autograd: B(S) has as few rows as there are points on the surface."""
+        import torch
+
+        with torch.enable_grad():
+            leaf = setups.detach().requires_grad_()
+            return torch.autograd.grad(self.weights(leaf), leaf, gradient)[0]
 
     def matrix(self, phi: Tensor, setup: Tensor, manipulation: str) -> Tensor:
         """B(X), or B(X) B(S)^+."""
@@ -304,7 +313,7 @@ class FFD(Representation):
 
         if self.picked is not None and self.whole is not None:
             return boxes.picks(self.whole, self.picked, self.active)
-        return boxes.search_space(self.lattice, scenario)
+        return boxes.search_space(self.lattice, scenario, self.surface)
 
 
 def _contracted(rest: Tensor, values: Tensor) -> Tensor:
