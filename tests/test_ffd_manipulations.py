@@ -13,12 +13,11 @@ from test_ffd import EPS, KERNEL, pygem, rescored
 from test_mesh_runs import egg
 
 from rbfevo.__main__ import main
-from rbfevo.errors import UserError
-from rbfevo.recorded.record import Record, read
+from rbfevo.recorded.record import read
 from rbfevo.scenarios import mesh, plane
 from rbfevo.scoring.evaluator import Evaluator
 from rbfevo.scoring.gradients import differentiable_scores
-from rbfevo.scoring.representations import FFD, ffd
+from rbfevo.scoring.representations import ffd
 from rbfevo.scoring.symmetric import MirroredEvaluator, evaluator_of
 
 LATTICE = (3, 5, 2)  # the middle layer along y lies on the plane of symmetry
@@ -50,7 +49,7 @@ def symmetric(template: Path) -> list[str]:
 
 
 def blocks(points: Any, genotype: Any, counts: tuple[int, ...] = LATTICE) -> tuple[Any, Any]:
-    """Columns along and across the plane y = 0, of control points on its upper side and on it, from the whole lattice."""
+    """Columns along and across the plane y = 0, of control points above it and on it, from the whole lattice."""
     c, h = genotype[:3], genotype[3:6]
     whole = pygem(points, c - h, 2.0 * h, counts).reshape(len(points), *counts)
     along, across = [], []

@@ -42,7 +42,8 @@ class Spectrum:
         finite = torch.isfinite(centers).flatten(1).all(1)
         self.evaluator = evaluator
         self.centers = torch.where(finite.view(-1, *(1,) * (centers.ndim - 1)), centers.detach(), 0.0)
-        T, self._y, potentials, rank, usable, deficient = evaluator.factors(self.centers, finite)
+        T, y, potentials, rank, usable, deficient = evaluator.factors(self.centers, finite)
+        self._y = torch.where(deficient[:, None, None], 0.0, y)
         m = T.shape[1]
         evaluator.evaluations += len(centers)
         evaluator.failed_evaluations += int((~usable).sum())
@@ -55,7 +56,8 @@ class Spectrum:
         if evaluator.deformation.manipulation != "indirect":
             reduced = evaluator.representation.reduce(self.centers, T, evaluator.deformation.manipulation)
             if reduced.weights is not None and evaluator.representation.narrows:
-                T = self._narrowed(T, reduced.factor, reduced.weights, reduced.singular)
+                sound = usable & (deficient | (rank == m)) & ~reduced.singular
+                T = self._narrowed((T, y, reduced.weights), reduced.factor, sound)
                 m = T.shape[1]
             else:
                 T, self._inverse, lost = reduced
@@ -67,24 +69,20 @@ class Spectrum:
         identity = torch.eye(m, dtype=T.dtype, device=T.device)
         self._V, self.sigma = left_singular(torch.where(self.regular[:, None, None], T, identity))
 
-    def _narrowed(self, T: Tensor, factor: Tensor, W: Tensor, lost: Tensor) -> Tensor:
+    def _narrowed(self, phi: tuple[Tensor, Tensor, Tensor], factor: Tensor, sound: Tensor) -> Tensor:
         """The triangular factor T' [p, m, m] of U = Q T^T W, whose columns reach less than those of Phi.
 
-        With T^T W = Q' T'^T it takes the place of T, and Q'^T y that of y.
+        With T^T W = Q' T'^T it takes the place of T, and Q'^T y that of y. `phi` is T, y and W, factor W^T T.
         """
         evaluator = self.evaluator
-        sound = self.regular & ~lost
-        found = evaluator.narrow(factor, self._y, lost, sound)
-        potentials = torch.where(sound[:, None], found.potentials.clamp(0.0, 1.0), 0.0)
-        index = torch.nonzero(torch.isfinite(self.centers).flatten(1).all(1) & ~sound).flatten()
-        if len(index):
-            potentials[index] = evaluator.definition_of_each(self.centers[index])[1]
-        self.potentials, self.potential = potentials, evaluator.combination(potentials)
+        found = evaluator.narrow(factor, phi[1], ~sound, sound)
+        self.potentials = torch.where(sound[:, None], found.potentials.clamp(0.0, 1.0), 0.0)
+        self.potential = evaluator.combination(self.potentials)
         self.regular = self.improvable = sound & ~found.lost
-        self._phi = T, self._y, W
+        self._phi = phi
         parts = [torch.linalg.qr(one.mT) for one in factor]  # one at a time: in a batch LAPACK may round otherwise
         Q, R = (torch.stack(part) for part in zip(*parts, strict=True))
-        self._y = product(Q.mT, self._y)
+        self._y = product(Q.mT, phi[1])
         self._T = torch.where(self.regular[:, None, None], R.mT, torch.eye(R.shape[-1], dtype=R.dtype, device=R.device))
         return self._T
 
@@ -131,7 +129,7 @@ class Spectrum:
         return torch.where(sound.view(-1, *(1,) * (gradient.ndim - 1)), gradient, 0.0)
 
     def _of_columns(self, dM: Tensor) -> tuple[Tensor, Tensor]:
-        """Of a gradient in the Gram matrix W^T G W and in W^T b of U: that in G and b of Phi, and that in W [p, r, m]."""
+        """Of a gradient in W^T G W and W^T b of U: that in G and b of Phi, and that in W [p, r, m]."""
         if self._phi is None:
             raise UserError("the columns of U are those of Phi")
         T, y, W = self._phi

@@ -1,9 +1,10 @@
 """Scores of symmetric setups: U is one block for components along the plane, and one for the component across it.
 
 Along the plane column c is phi_c + phi_c', across it phi_c - phi_c' (`rbfevo.geometry.mirror`), where a center on the
-plane has no column. Setups that are no centers have the columns that their representation gives them. The parameters of the m columns move nothing but their own component, so that U is block diagonal:
-R is the smallest singular value of both blocks over the largest of both, and P adds up what each block reaches of its
-own components of g. V is that of the block along the plane, m/n at best.
+plane has no column. Setups that are no centers have the columns that their representation gives them. The parameters
+of the m columns move nothing but their own component, so that U is block diagonal: R is the smallest singular value of
+both blocks over the largest of both, and P adds up what each block reaches of its own components of g. V is that of the
+block along the plane, m/n at best.
 """
 
 from __future__ import annotations

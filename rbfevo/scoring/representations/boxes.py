@@ -68,8 +68,8 @@ def checked(
     still = continuity + 1 if active == "inner" else 0
     if min(counts) <= 2 * still:
         raise UserError(
-            f"representation.continuity={continuity}: the outer {still} layers at each face stay still, and there are no "
-            f"others in the lattice {' x '.join(map(str, counts))}; give at least {2 * still + 1} along each axis"
+            f"representation.continuity={continuity}: the outer {still} layers at each face stay still, and there are "
+            f"no others in the lattice {' x '.join(map(str, counts))}; give at least {2 * still + 1} along each axis"
         )
     made = Lattice(tuple(counts), degrees, _turn(turn, scenario), knots)
     if knots and not sum(made.inner):
