@@ -42,7 +42,7 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
     if missing:
         raise UserError(f"{path} is no setup.npz of rbfevo.export: it lacks {', '.join(missing)}")
     known = "kernel_spec" in arrays or arrays["kernel"].item() in ("wendland", "triharmonic")
-    if "genotype" in arrays or not known:
+    if not known and not {"representation_spec", "genotype"} <= set(arrays):
         raise UserError(
             f"{path}: its representation, {arrays['kernel'].item()}, cannot be rebuilt from an export; give the run "
             "directory and a pick instead"
@@ -58,6 +58,11 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
     }
     if "kernel_spec" in arrays:
         summary["representation"] = _representation(path, arrays["kernel_spec"])
+    if "representation_spec" in arrays:
+        try:
+            summary["representation"] = json.loads(arrays["representation_spec"].item())
+        except (ValueError, TypeError, AttributeError):
+            raise UserError(f"{path} cannot be read: its representation_spec is damaged") from None
     if "held" in arrays:
         summary["hold_width"] = float(arrays["hold_width"])
     one, n = np.zeros(1), len(vertices)
@@ -75,6 +80,7 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
         lower=arrays["lower"],
         upper=arrays["upper"],
         summary=summary,
+        genotype=arrays["genotype"][None] if "genotype" in arrays else None,
         blend=arrays.get("blend"),
         held=arrays.get("held"),
     )

@@ -12,7 +12,7 @@ from torch import Tensor
 from rbfevo import methods
 from rbfevo.errors import UserError
 from rbfevo.methods.method import Heuristic, Method, Problem, Rows, no_preference, random_stream
-from rbfevo.runs.config import OWN_CENTERS, Settings, build
+from rbfevo.runs.config import OWN_CENTERS, Settings, brings_centers, build
 from rbfevo.runs.identity import stages_of
 from rbfevo.runs.judged import Judged
 from rbfevo.scenarios.beginnings import read_kept, read_starts
@@ -86,7 +86,8 @@ class Parts:
         Raises:
             UserError: if another number was asked for.
         """
-        for stage in (stage for stage in self.stages if stage.brings):
+        own = brings_centers(settings.representation)
+        for stage in (stage for stage in self.stages if stage.brings and not own):
             count, notes = stage.bring(self.scenario)
             if settings.centers not in (OWN_CENTERS, count):
                 raise UserError(

@@ -37,6 +37,14 @@ def greville(knots: Any, degree: int) -> Any:
     return sum(knots[..., 1 + i : 1 + i + count] for i in range(degree)) / degree
 
 
+def of_greville(abscissae: np.ndarray, degree: int) -> np.ndarray:
+    """The inner knots [count - degree - 1] of clamped basis functions with these `greville` abscissae [count]."""
+    knots = [0.0] * (degree + 1)
+    for i in range(len(abscissae) - degree - 1):
+        knots.append(knots[i + 1] + degree * (abscissae[i + 1] - abscissae[i]))
+    return np.array(knots[degree + 1 :])
+
+
 def basis(u: Any, knots: Any, degree: int) -> Any:
     """Values [..., q, count] at u [..., q] in [0, 1] of the basis functions of clamped knots [..., count + degree + 1].
 

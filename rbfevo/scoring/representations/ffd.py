@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -159,6 +160,11 @@ class FFD(Representation):
             return kept
         return _swapped(self._of_picks(_swapped(kept), setups))
 
+    def indices(self, setup: Array) -> Array:
+        """The places [m, d] in the lattice of the control points of one setup that move."""
+        grid = np.stack(np.meshgrid(*self.layers, indexing="ij"), axis=-1).reshape(-1, self.lattice.dimension)
+        return grid if self.picked is None else _swapped(self._of_picks(_swapped(grid), setup))
+
     def handles(self, setups: Any) -> Any:
         """The control points that move, or the points on the surface."""
         if self.surface is None:
@@ -170,8 +176,12 @@ class FFD(Representation):
 
     # --- direct manipulation ------------------------------------------------------------------------------------------
 
-    def weights(self, setups: Any) -> Any:
-        """W = B(S)^+ [*pop, m, k]: singular values up to max(m, k) eps times the largest count as 0."""
+    def weights(self, setups: Any) -> Any | None:
+        """None, the identity, or W = B(S)^+."""
+        return None if self.surface is None else self.pseudoinverse(setups)
+
+    def pseudoinverse(self, setups: Any) -> Any:
+        """B(S)^+ [*pop, m, k]: singular values up to max(m, k) eps times the largest count as 0."""
         if isinstance(setups, np.ndarray):
             B = self.phi(self.surface, setups)
             return np.linalg.pinv(B, rcond=max(B.shape[-2:]) * EPS)
@@ -197,7 +207,7 @@ class FFD(Representation):
 
         if self.surface is None:
             return super().reduce(setups, factor, manipulation)
-        W = self.weights(setups)
+        W = self.pseudoinverse(setups)
         return Reduced(product(W.mT, factor), W, torch.zeros(len(setups), dtype=torch.bool, device=factor.device))
 
     def pull_weights(self, setups: Tensor, gradient: Tensor) -> Tensor:
@@ -206,11 +216,11 @@ class FFD(Representation):
 
         with torch.enable_grad():
             leaf = setups.detach().requires_grad_()
-            return torch.autograd.grad(self.weights(leaf), leaf, gradient)[0]
+            return torch.autograd.grad(self.pseudoinverse(leaf), leaf, gradient)[0]
 
     def matrix(self, phi: Tensor, setup: Tensor, manipulation: str) -> Tensor:
         """B(X), or B(X) B(S)^+."""
-        return phi if self.surface is None else phi @ self.weights(setup)
+        return phi if self.surface is None else phi @ self.pseudoinverse(setup)
 
     # --- runs ---------------------------------------------------------------------------------------------------------
 
@@ -288,6 +298,14 @@ class FFD(Representation):
             made = made._like(picked=asked)
         made.whole = boxes.around(self.lattice, scenario)
         return made
+
+    def given(self, files: Sequence[str], scenario: Scenario) -> Tensor:
+        """Boxes from exports and files of other programs."""
+        import torch
+
+        from rbfevo.scoring.representations.given_boxes import read_box
+
+        return torch.from_numpy(np.stack([read_box(file, self, scenario) for file in files]))
 
     def refuse_search(self, method: str) -> None:
         """Raise UserError where control points are picked: they have numbers, not places that could be searched."""

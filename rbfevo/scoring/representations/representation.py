@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rbfevo.errors import UserError
@@ -139,6 +139,18 @@ class Representation(abc.ABC):
         """Where the control points [*pop, h, d] sit, for pictures and export; None where there are none."""
         return None
 
+    def weights(self, setups: Any) -> Any | None:
+        """W [*pop, r, m] of the run's manipulation, where parameters are displacements of the handles; None: identity.
+
+        Raises:
+            UserError: if the control points cannot be moved one by one.
+        """
+        raise UserError(f"the control points of representation={self.name} cannot be moved one by one")
+
+    def places(self, setups: Any) -> Any | None:
+        """Where the control points [*pop, r, d] of the columns of Phi sit, or None."""
+        return None
+
     def reduce(self, setups: Tensor, factor: Tensor, manipulation: str) -> Reduced:
         """W of setups [p, *setup] under a manipulation, applied to the lower triangular factor T [p, r, r] of Phi."""
         import torch
@@ -163,6 +175,14 @@ class Representation(abc.ABC):
 
     def symmetric(self, mirror: Mirror) -> tuple[Representation, Representation] | None:
         """The columns for components along a plane of symmetry and for the one across it, or None."""
+        return None
+
+    def given(self, files: Sequence[str], scenario: Scenario) -> Tensor | None:
+        """Setups [p, *setup] of files that somebody has made; None where files hold centers.
+
+        Raises:
+            UserError: if a file cannot be used.
+        """
         return None
 
     def assemble(self, centers: Tensor) -> Tensor | None:
