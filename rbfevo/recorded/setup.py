@@ -192,7 +192,11 @@ class Setup:
             )
         if self.mirror is None or not self.crosses(rows.shape[1]):
             return
-        wrong = np.flatnonzero(self.on_plane & (rows[:, self.mirror.axis] != 0))
+        still = self.on_plane
+        if what == "weight":
+            still = np.ones(self.count, dtype=bool)
+            still[self.off_columns] = False
+        wrong = np.flatnonzero(still & (rows[:, self.mirror.axis] != 0))
         if wrong.size:
             axis = "xyz"[self.mirror.axis]
             raise UserError(
