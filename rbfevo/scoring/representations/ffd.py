@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -295,9 +295,77 @@ class FFD(Representation):
         if manipulation == "direct":
             return made._like(surface=boxes.spread(scenario, asked))
         if asked < made.active:
+            if scenario.mirror is not None and self.lattice.counts[scenario.mirror.axis] % 2:
+                raise UserError(
+                    f"centers={asked}: control points that are picked cannot lie on the symmetry plane; give the "
+                    f"lattice {shown} an even number along {'xyz'[scenario.mirror.axis]}"
+                )
             made = made._like(picked=asked)
         made.whole = boxes.around(self.lattice, scenario)
         return made
+
+    def off_plane(self) -> Tensor:
+        """Which of the control points [active] are not in the middle layer, whose images they are themselves."""
+        import torch
+
+        grid = np.stack(np.meshgrid(*self.layers, indexing="ij"), axis=-1).reshape(-1, self.lattice.dimension)
+        if self.half is None or self.picked is not None:  # picks have no middle layer
+            return torch.ones(self.picked or len(grid), dtype=torch.bool)
+        return torch.from_numpy(2 * grid[:, self.half.axis] != self.lattice.counts[self.half.axis] - 1)
+
+    def candidates(self) -> Tensor | None:
+        """The control points [active, d] of the box around the design, where some of them are picked."""
+        import torch
+
+        if self.picked is None or self.whole is None:
+            return None
+        return self._like(picked=None).places(torch.from_numpy(self.whole))
+
+    def refuse_places(self, method: str) -> NoReturn:
+        """Raise UserError: control points are picked by number, under indirect manipulation."""
+        if self.surface is not None:
+            raise UserError(
+                f"method={method} picks control points, which manipulation=direct does not move; set "
+                "manipulation=indirect"
+            )
+        raise UserError(
+            f"method={method} picks some of the {self.active} control points that move: give their number as centers=, "
+            f"below {self.active}"
+        )
+
+    def atoms(self, points: Tensor) -> Callable[[Tensor], Tensor] | None:
+        """The columns of control points of the box around the design, of a symmetric one those along its plane."""
+        import torch
+
+        every = self.candidates()
+        if every is None or self.whole is None:
+            return None
+        box = torch.from_numpy(self.whole).to(points)
+        u, inside = self.lattice.local(points, box)
+        values = [
+            self._of_layers(self.lattice.values(u[..., axis], box, axis), axis)
+            for axis in range(self.lattice.dimension)
+        ]
+        sizes = [len(layers) for layers in self.layers]
+
+        def columns(candidates: Tensor) -> Tensor:
+            index = np.unravel_index(_nearest(candidates, every).numpy(), sizes)
+            found = inside.to(points)[:, None].expand(-1, len(candidates)).clone()
+            for one, along in zip(values, index, strict=True):
+                found *= one[:, torch.from_numpy(along)]
+            return found
+
+        return columns
+
+    def assemble(self, centers: Tensor) -> Tensor | None:
+        """The box around the design, and the numbers of the control points that are nearest to the centers."""
+        import torch
+
+        every = self.candidates()
+        if every is None or self.whole is None or centers.shape[-2] != self.picked:
+            return None
+        box = torch.from_numpy(self.whole).to(centers)
+        return torch.cat((box.expand(*centers.shape[:-2], -1), _nearest(centers, every).to(centers)), dim=-1)
 
     def given(self, files: Sequence[str], scenario: Scenario) -> Tensor:
         """Boxes from exports and files of other programs."""
@@ -338,6 +406,13 @@ def _contracted(rest: Tensor, values: Tensor) -> Tensor:
     """The sum over the last axis of `rest` [p, q, ..., n] with values [p, q, n]."""
     shape = (*values.shape[:2], *[1] * (rest.ndim - 3), values.shape[2])
     return (rest * values.reshape(shape)).sum(-1)
+
+
+def _nearest(points: Tensor, every: Tensor) -> Tensor:
+    """For each of points [..., d] the number of the nearest of `every` [c, d]."""
+    import torch
+
+    return torch.cdist(points, every.to(points), compute_mode="donot_use_mm_for_euclid_dist").argmin(-1)
 
 
 def _swapped(array: Any) -> Any:

@@ -6,7 +6,7 @@ import abc
 import dataclasses
 import importlib
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
@@ -183,6 +183,22 @@ class Representation(abc.ABC):
         Raises:
             UserError: if a file cannot be used.
         """
+        return None
+
+    def candidates(self) -> Tensor | None:
+        """The places [c, d] that heuristics pick centers from; None for a grid over the box."""
+        return None
+
+    def refuse_places(self, method: str) -> NoReturn:
+        """Raise UserError: why a heuristic cannot place centers one by one.
+
+        Raises:
+            UserError: always.
+        """
+        raise UserError(f"method={method} places centers one by one, and representation={self.name} has none")
+
+    def off_plane(self) -> Tensor | None:
+        """Which columns along a plane of symmetry [m] have one across it; None where setups are centers, by place."""
         return None
 
     def assemble(self, centers: Tensor) -> Tensor | None:
