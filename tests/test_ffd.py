@@ -252,7 +252,7 @@ def test_runs_are_those_of_plain_numpy(method: str, tmp_path: Path) -> None:
     assert record.genotype.shape[1] == 4
     assert record.centers.shape[1:] == (20, 2)
     assert record.summary["centers"] == 20
-    assert record.title == "plane · representation ffd · indirect manipulation"
+    assert record.title == "plane · representation ffd, lattice 4 x 5 · indirect manipulation"
     for row in range(len(record.regularity)):
         c, h = record.genotype[row, :2], record.genotype[row, 2:]
         U = pygem(record.vertices, c - h, 2.0 * h, (4, 5))

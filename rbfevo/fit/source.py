@@ -9,18 +9,23 @@ from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
 from rbfevo.errors import UserError
+from rbfevo.recorded.parts import representation_in
 from rbfevo.recorded.record import Record
 from rbfevo.runs.config import build
 from rbfevo.runs.source import refuse_changed, settings_of
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.representations import Representation
 
 
 class Source(NamedTuple):
-    """What a run scored its setups on: the scenario, the kernel, and how the design is manipulated."""
+    """What a run scored its setups on: the scenario, the kernel, and how the design is manipulated.
+
+    Of another representation than RBFs, that takes the place of the kernel.
+    """
 
     scenario: Scenario
-    kernel: Kernel
+    kernel: Kernel | Representation
     manipulation: str
 
 
@@ -32,8 +37,9 @@ def rebuild(run: Path, record: Record) -> Source:
     Raises:
         UserError: if the configuration is missing or wrong, or the scenario is another one by now.
     """
-    if record.genotype is not None:
-        raise UserError(f"{run}: only setups of centers (representation=rbf) can be fitted")
+    representation = None if record.genotype is None else representation_in(record)
+    if representation is not None and representation.places(record.genotype) is None:
+        raise UserError(f"{run}: only setups of centers (representation=rbf), or of a lattice, can be fitted")
     settings = settings_of(run)
     try:
         scenario = build(settings.scenario)
@@ -48,4 +54,4 @@ def rebuild(run: Path, record: Record) -> Source:
             raise UserError(f"{run}: {name} is {recorded[name]} in summary.json and {value} in .hydra/config.yaml; "
                             "restore the file that was changed")  # fmt: skip
     refuse_changed(run, scenario, record)
-    return Source(scenario, kernel, settings.manipulation)
+    return Source(scenario, representation or kernel, settings.manipulation)

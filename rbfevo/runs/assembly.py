@@ -64,6 +64,7 @@ class Parts:
         self.kernel: Kernel = build(settings.kernel, d, self.scenario.support, self.scenario.diagonal)
         made: Representation = build(settings.representation, self.scenario, self.kernel, settings.centers)
         self.representation = made.for_run(self.scenario, settings.manipulation)
+        self.scenario = dataclasses.replace(self.scenario, notes={**self.scenario.notes, **self.representation.notes()})
         for stage in (stage for stage in self.stages if not isinstance(stage, Heuristic)):
             self.representation.refuse_search(stage.name)
         self.space = self._space()

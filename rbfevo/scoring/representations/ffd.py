@@ -384,6 +384,19 @@ class FFD(Representation):
                 f"method={method} moves all of them; leave centers= out, or let method=ols pick {self.picked}"
             )
 
+    def notes(self) -> dict[str, str]:
+        """The lattice, what moves of it, and that direct manipulation reaches less."""
+        lattice = self.lattice
+        degrees = sorted(set(lattice.degrees))
+        kind = f"B-splines of degree {', '.join(map(str, degrees))}" if sum(lattice.inner) else "Bernstein polynomials"
+        lines = {"lattice": f"lattice of {' x '.join(map(str, lattice.counts))} control points, {kind}"}
+        if self.surface is not None:
+            lines["direct manipulation"] = (
+                f"direct manipulation: {len(self.surface)} points on the surface move the {self.active} control points "
+                "and reach less than all of these, so that P and V depend on the manipulation"
+            )
+        return lines
+
     def doubts(self, scenario: Scenario) -> list[str]:
         """A line where a scenario keeps a region free of centers, which a box cannot."""
         if scenario.keep_out is None:

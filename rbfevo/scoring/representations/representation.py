@@ -110,6 +110,10 @@ class Representation(abc.ABC):
         """m, the columns of U: those of Phi, unless a manipulation has fewer."""
         return self.columns(setups)
 
+    def notes(self) -> dict[str, str]:
+        """Facts for the log of a run and its summary, by title."""
+        return {}
+
     def doubts(self, scenario: Scenario) -> list[str]:
         """A line for each reason to doubt results on a scenario."""
         return []
