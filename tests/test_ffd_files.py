@@ -333,6 +333,10 @@ def test_what_depends_on_each_other_and_what_reaches_less_is_told(
         assert (f"rank {ranks[row]} of 36 columns, so that R = 0" in out) == (ranks[row] < 36)
         assert (f"{idle[row]} control points move no vertex" in out) == (idle[row] > 0)
         assert "left out: lattice.xyz: it is for boxes in space" in out
+        inside = (np.abs(record.vertices - record.genotype[row, :2]) <= record.genotype[row, 2:]).all(axis=1)  # pyright: ignore[reportOptionalSubscript]
+        torn = sum(0 < inside[face].sum() < 3 for face in record.faces)
+        assert torn > 0 or row != int(np.argmin(ranks))
+        assert (f"where displacements end abruptly, in {torn} triangles" in out) == (torn > 0)
     assert min(ranks) < 36
     assert max(idle) > 0
     assert export.main([str(runs / "surface"), *arguments, str(tmp_path / "b")]) == 0

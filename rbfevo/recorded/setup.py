@@ -267,6 +267,14 @@ class Setup:
             idle = int((self.columns(record.vertices) == 0.0).all(axis=0).sum())
             move = f"; {idle} control points move no vertex" if idle else ""
             lines.append(f"rank {rank} of {m} columns, so that R = 0: some combinations of them move no vertex{move}")
+        inside = self.representation.jumps(record.vertices, self.genotype)
+        if inside is not None and len(record.faces):
+            torn = int((inside[record.faces].any(axis=1) != inside[record.faces].all(axis=1)).sum())
+            if torn:
+                lines.append(
+                    f"the surface passes through the faces of the box, where displacements end abruptly, in {torn} "
+                    "triangles: representation.active=inner keeps it whole"
+                )
         if self.representation.narrows:
             lines.append(
                 f"direct manipulation: {m} points on the surface move, and P and V are theirs, not those of the "

@@ -375,6 +375,10 @@ class FFD(Representation):
 
         return torch.from_numpy(np.stack([read_box(file, self, scenario) for file in files]))
 
+    def jumps(self, points: Any, setups: Any) -> Any | None:
+        """Which points lie in the box, where control points at its faces move."""
+        return None if self.still else self.lattice.local(points, setups)[1]
+
     def refuse_search(self, method: str) -> None:
         """Raise UserError where control points are picked: they have numbers, not places that could be searched."""
         if self.picked is not None:

@@ -118,6 +118,10 @@ class Representation(abc.ABC):
         """A line for each reason to doubt results on a scenario."""
         return []
 
+    def jumps(self, points: Any, setups: Any) -> Any | None:
+        """Labels [*pop, q] of points: between different ones displacements of a setup jump; None for none."""
+        return None
+
     def refuse_search(self, method: str) -> None:  # noqa: B027 - most can be searched
         """Raise UserError if a method cannot search the setups of this run."""
 
