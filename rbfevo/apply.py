@@ -114,7 +114,7 @@ def carry_out(options: argparse.Namespace) -> None:
     what, path = (
         ("weights", options.weights) if options.displacements is None else ("displacements", options.displacements)
     )
-    rows = read_rows(path, what, places_of(chosen), heights=record.vertices.shape[1] == 2)
+    rows = read_rows(path, what, places_of(chosen, what), heights=record.vertices.shape[1] == 2)
     try:
         chosen.refuse_across(rows, what.removesuffix("s"))
     except UserError as error:
@@ -144,7 +144,7 @@ def carry_out(options: argparse.Namespace) -> None:
         if found and not options.force:
             raise UserError(f"{options.mesh}: {'; and '.join(found)}, or add --force to write the mesh anyway")
         notes = meshes.write(mesh, options.mesh, moved, displacement, out, options.patches)
-        centers = chosen.moved(rows) if what == "displacements" else chosen.displacement(chosen.centers, weights)
+        centers = chosen.moved(rows if what == "displacements" else chosen.handles_moved(weights))
         length = np.linalg.norm(displacement, axis=1)
         largest = float(np.linalg.norm(centers, axis=1).max(initial=0.0))
         left_to_mover = out.name == FORMS[1]  # which moves the inside in its own way

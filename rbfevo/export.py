@@ -24,12 +24,14 @@ from rbfevo.recorded.parameters import design_matrix, orthonormal
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import Setup, setup
+from rbfevo.scoring.representations import FFD
 from rbfevo.scoring.representations.linear import LinearRBF
 
 FILES = (
     *("centers.csv", "centers.vtp", "template.vtp", "setup.npz"),
     *("displacements.csv", "weights.csv", "coefficients.csv", "morph.csv", "parameters.prm"),
 )
+LATTICE = ("lattice.xyz", "su2.cfg", "lattice.vts")  # of free-form deformation, beside these
 STEP = 0.05  # of the diagonal of the template's bounding box
 DESCRIPTION = """Write one setup of a run (control points and what they can do) for other programs.
 
@@ -43,7 +45,9 @@ coefficients.csv, morph.csv
                    --weights; and the RBF weights, as above, with the factors of 1, x, y and z that are added
 setup.npz          arrays for your own optimizer: X' = X + U P, and Q and T of U = Q T: with parameters q = T p steps
                    are taken in Q, whose columns are orthonormal (R = 1)
-parameters.prm     control points for PyGeM"""
+parameters.prm     control points for PyGeM
+Of representation=ffd also lattice.xyz (plot3d, for pyGeo), su2.cfg (the box, and how its control points move, for SU2)
+and lattice.vts (for ParaView); parameters.prm is then PyGeM's for free-form deformation."""
 
 
 def parser() -> parsers.Parser:
@@ -103,7 +107,7 @@ def carry_out(options: argparse.Namespace) -> None:
             "displacement in space"
         )
     out = options.out or options.run / f"export-{options.pick.strip().replace(':', '-')}"
-    refuse_held(out, FILES, "--out")
+    refuse_held(out, (*FILES, *LATTICE), "--out")
     chosen = setup(record, row)
     for option, names in (("--objective", [options.objective or ""]), ("--keep", options.keep)):
         for name in filter(None, names):
@@ -133,7 +137,7 @@ def carry_out(options: argparse.Namespace) -> None:
 def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, bytes], dict[str, str]]:
     """The contents of all files but VTK's, and for each file that is left out the reason."""
     physical, left_out = chosen.centers_and_images(), {}
-    places, times = spatial(physical.points), 1 + chosen.on_plane[physical.column]
+    places, times = spatial(physical.points), chosen.times[physical.column]
     rows = zip(physical.column.tolist(), places.tolist(), physical.mirrored.tolist(), times.tolist(), strict=True)
     lines = [(column, *point, int(mirrored), count) for column, point, mirrored, count in rows]
     places = spatial(places_of(chosen))
@@ -158,13 +162,10 @@ def file_contents(record: Record, chosen: Setup, move: Move) -> tuple[dict[str, 
         if chosen.hold is not None:
             names = [*names, *MOVED]
             columns = np.hstack([columns, spatial(chosen.moved(move.centers))])
-        contents["displacements.csv"] = numbered(names, places, columns)
-        from rbfevo.commands import pygem
-
-        try:
-            contents["parameters.prm"] = pygem.parameters(chosen, spatial(move.centers))
-        except UserError as error:
-            left_out["parameters.prm"] = str(error)
+        contents["displacements.csv"] = numbered(names, spatial(places_of(chosen, "displacements")), columns)
+        others = contents_for_others(chosen, move)
+        contents |= {name: content for name, content in others.items() if isinstance(content, bytes)}
+        left_out |= {name: content for name, content in others.items() if isinstance(content, str)}
     contents["setup.npz"] = npz(_arrays(record, chosen, crosses, bool(reason)))
     return contents, left_out
 
@@ -174,8 +175,20 @@ def coefficients(chosen: Setup) -> str:
     return "coefficients.csv" if isinstance(chosen.representation, LinearRBF) else "weights.csv"
 
 
+def contents_for_others(chosen: Setup, move: Move) -> dict[str, bytes | str]:
+    """The files of other programs, or the reason why one is left out."""
+    from rbfevo.commands import ffd_files, pygem
+
+    if isinstance(chosen.representation, FFD):
+        return ffd_files.contents(chosen, move.weights)
+    try:
+        return {"parameters.prm": pygem.parameters(chosen, spatial(move.centers))}
+    except UserError as error:
+        return {"parameters.prm": str(error)}
+
+
 def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dict[str, Any]:
-    mirror, linear = chosen.mirror, chosen.representation.spec().get("linear")
+    mirror = chosen.mirror
     arrays: dict[str, Any] = {
         "centers": chosen.centers,
         "vertices": record.vertices,
@@ -184,8 +197,7 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
         "upper": record.upper,
         "kernel": np.array(chosen.name),
         "support": np.array(np.nan if chosen.support is None else chosen.support),
-        **({} if chosen.kernel is None else {"kernel_spec": np.array(json.dumps(chosen.kernel.spec()))}),
-        **({} if linear is None else {"linear": np.array(json.dumps(linear))}),
+        **_spec(chosen),
         "manipulation": np.array(chosen.manipulation),
         "symmetry_axis": np.array("" if mirror is None else "xyz"[mirror.axis]),
         "symmetry_at": np.array(np.nan if mirror is None else mirror.at),
@@ -215,6 +227,14 @@ def _arrays(record: Record, chosen: Setup, crosses: bool, singular: bool) -> dic
     return arrays
 
 
+def _spec(chosen: Setup) -> dict[str, Any]:
+    """The kernel, or another representation, from which a reader rebuilds the columns."""
+    if chosen.kernel is not None and chosen.plain:
+        return {"kernel_spec": np.array(json.dumps(chosen.kernel.spec()))}
+    made = {"name": chosen.representation.name, **chosen.representation.spec()}
+    return {"representation_spec": np.array(json.dumps(made))}
+
+
 def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
     """Write centers.vtp and template.vtp."""
     from rbfevo.meshes.foreign import write_dataset
@@ -224,7 +244,7 @@ def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
     arrays: dict[str, Array] = {
         "center": physical.column.astype(np.int64),
         "mirrored": physical.mirrored.astype(np.uint8),
-        "times": (1 + chosen.on_plane[physical.column]).astype(np.uint8),
+        "times": chosen.times[physical.column].astype(np.uint8),
         "displacement": spatial(chosen.with_images(chosen.moved(move.centers))),
     }
     if chosen.support is not None:
@@ -236,6 +256,10 @@ def write_vtp(out: Path, record: Record, chosen: Setup, move: Move) -> None:
     fields = {name: spatial(field) for name, field in fields.items()} | {"weights": record.weights}
     faces = record.faces if len(record.faces) else None
     write_dataset(polydata(spatial(record.vertices), faces, fields), out / "template.vtp")
+    if isinstance(chosen.representation, FFD):
+        from rbfevo.commands import ffd_files
+
+        write_dataset(ffd_files.grid(chosen, move.weights), out / "lattice.vts")
 
 
 def closing(
@@ -271,9 +295,10 @@ def closing(
         *_limits(record, move),
         *_changes(options, record, move),
         *_fixed(record, move),
-        f"files: {out}: {', '.join(name for name in FILES if name in written or name.endswith('.vtp'))}",
+        f"files: {out}: {', '.join(name for name in (*FILES, *LATTICE) if name in written or (out / name).is_file())}",
     ]
-    if "parameters.prm" in written:
+    lines += chosen.doubts(record)
+    if "parameters.prm" in written and chosen.kernel is not None:
         from rbfevo.commands.pygem import difference
 
         lines.append(f"parameters.prm: {difference(chosen)}")

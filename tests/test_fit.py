@@ -451,7 +451,7 @@ def test_a_fit_from_end_to_end(
     manipulation = arguments.split("--manipulation ")[1].split()[0] if "--manipulation" in arguments else manipulation
     assert summary["manipulation"] == str(arrays["manipulation"]) == manipulation
     C = torch.from_numpy(arrays["centers"])
-    U = deformation(origin.scenario, origin.representation, C, manipulation).U.numpy()
+    U = deformation(origin.scenario, origin.kernel, C, manipulation).U.numpy()
     u = U @ arrays["parameters"]
     smoothness = summary["smoothness"]
     assert numpy_error(origin.scenario, u, smoothness) == pytest.approx(summary["error"], rel=1e-9)
@@ -469,7 +469,7 @@ def test_a_fit_from_end_to_end(
     np.testing.assert_array_equal(mesh.faces, origin.scenario.faces.numpy())
     left = residuals(origin.scenario, torch.from_numpy(u)).norm(dim=1).numpy()
     np.testing.assert_allclose(arrays["local_error"], left, atol=1e-12)
-    phi = numpy_phi(origin.representation, cdist(arrays["centers"], arrays["centers"]))
+    phi = numpy_phi(origin.kernel, cdist(arrays["centers"], arrays["centers"]))
     field = phi @ arrays["weights"]
     moved = arrays["centers"] + field if name == "face" else np.concatenate([arrays["centers"], field], axis=1)
     np.testing.assert_allclose(arrays["moved_centers"], moved, atol=1e-9)

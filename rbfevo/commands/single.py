@@ -77,7 +77,12 @@ def announce(top: RunConfig, composition: Composition) -> None:
     if composition.choices.get("representation") not in (None, "rbf"):
         groups[1] = "representation"
     chosen = [f"{group} {composition.choices.get(group)}" for group in groups]
-    centers = f"centers of {', '.join(map(str, files))}" if files else f"{top.centers} centers"
+    lattice = top.representation.get("lattice") if isinstance(top.representation, dict) else None
+    centers = f"{top.centers} centers"
+    if files:
+        centers = f"centers of {', '.join(map(str, files))}"
+    elif isinstance(lattice, list):
+        centers = f"lattice {' x '.join(map(str, lattice))}"
     print(f"{', '.join(chosen)}, {centers}, seed {top.seed}: {composition.directory}", flush=True)
 
 

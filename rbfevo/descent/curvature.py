@@ -19,6 +19,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rbfevo.arrays import Array
+from rbfevo.errors import UserError
 from rbfevo.recorded.moves import metrics
 from rbfevo.recorded.objectives import uphill
 from rbfevo.recorded.record import Record
@@ -34,9 +35,17 @@ class Coordinates:
 
     Args:
         record: the run; chosen: the setup.
+
+    Raises:
+        UserError: if the parameters of the setup reach less than its columns.
     """
 
     def __init__(self, record: Record, chosen: Setup) -> None:
+        if chosen.representation.narrows:
+            raise UserError(
+                "the steps of a descent are those of all columns, of which points on the surface reach a part; take a "
+                "run with manipulation=indirect"
+            )
         self.shape = (chosen.count, record.gradient.shape[1])
         self._record, self._parts = record, []
         for components, columns, U, product in metrics(record, chosen):

@@ -271,7 +271,7 @@ class Fields:
         physical = chosen.centers_and_images()
         places = np.pad(physical.points, ((0, 0), (0, 3 - physical.points.shape[1])))
         if shape == "reached":
-            moves = chosen.displacement(chosen.centers, self._weights(row))
+            moves = chosen.moved(chosen.handles_moved(self._weights(row)))
             places = places + self._stretch * spatial(chosen.with_images(moves))
         return places, physical.mirrored, physical.column < self.record.kept
 

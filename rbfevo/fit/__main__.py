@@ -82,12 +82,12 @@ def carry_out(options: argparse.Namespace) -> int:
             f"fit-{options.pick.strip().replace(':', '-')}-{manipulation}-{options.strategy}-seed{options.seed}"
         )
         refuse_held(out, results.RESULTS, "--out")
-        centers = torch.from_numpy(record.centers[row])
+        centers = torch.from_numpy((record.centers if record.genotype is None else record.genotype)[row])
         show(f"{options.pick}: row {row} of {options.run}, {manipulation} manipulation, {options.strategy} strategy")
         start = time.perf_counter()
         (fit,) = strategy.fits(
             origin.scenario,
-            origin.representation,
+            origin.kernel,
             centers[None],
             manipulation,
             options.strategy,

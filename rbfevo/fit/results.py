@@ -17,12 +17,15 @@ from rbfevo.fit.objective import residuals
 from rbfevo.fit.source import Source
 from rbfevo.fit.strategy import Fit
 from rbfevo.runs.storage import csv_text, npz, write_whole
+from rbfevo.scoring.representations import RBF, Representation
 
 RESULTS = ("fit.json", "history.csv", "parameters.npz", "deformed.ply", "fit.png")
 
 
 def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summary: dict[str, Any]) -> None:
-    """Write the result of a fit: centers [m, d] of the setup and `fit`; `summary` is the contents of fit.json.
+    """Write the result of a fit: centers [m, d] of the setup, or another setup [D], and `fit`.
+
+    `summary` is the contents of fit.json.
 
     Raises:
         UserError: if the directory cannot be made or written to.
@@ -32,16 +35,16 @@ def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summar
     displacement = found.U @ fit.parameters
     weights = found.weights(fit.parameters)
     deformed = moved(scenario.vertices, displacement)
-    blend = 1.0 if scenario.hold is None else torch.from_numpy(scenario.hold(centers.numpy()))[:, None]
+    handles, moves = _handles(source, centers, weights, found.W is not None)
     local_error = residuals(scenario, displacement).norm(dim=1).numpy()
     arrays = {
-        "centers": centers.numpy(),
+        "centers": handles.numpy(),
         "parameters": fit.parameters.numpy(),
         "manipulation": np.array(summary["manipulation"], dtype=np.str_),
         "weights": weights.numpy(),
         "deformed": deformed,
         "local_error": local_error,
-        "moved_centers": moved(centers, blend * (source.representation.psi(centers) @ weights)),
+        "moved_centers": moved(handles, moves),
     }
     lines = zip(range(len(fit.errors)), fit.errors.tolist(), fit.steps.tolist(), strict=True)
     try:
@@ -52,6 +55,19 @@ def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summar
     write_whole(directory / "history.csv", csv_text(("generation", "error", "step_size"), lines))
     write_whole(directory / "deformed.ply", ply(deformed, scenario.faces.numpy(), local_error))
     write_whole(directory / "fit.json", (json.dumps(summary, indent=2, allow_nan=False) + "\n").encode())
+
+
+def _handles(source: Source, setup: Tensor, weights: Tensor, on_surface: bool) -> tuple[Tensor, Tensor]:
+    """Centers of a setup [h, d] under weights [r, k], and how far they move; of a lattice its control points."""
+    kernel, hold = source.kernel, source.scenario.hold
+    representation = kernel if isinstance(kernel, Representation) else RBF(kernel)
+    if not isinstance(representation, RBF) and not on_surface:
+        places = representation.places(setup)
+        return (setup.new_zeros(0, 3), weights[:0]) if places is None else (places, weights)
+    handles = representation.handles(setup)
+    columns = representation.phi(handles, setup)
+    blend = 1.0 if hold is None else torch.from_numpy(hold(handles.numpy()))[:, None]
+    return handles, blend * (columns @ weights)
 
 
 def moved(points: Tensor, displacement: Tensor) -> NDArray[np.float64]:

@@ -9,19 +9,23 @@ from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
 from rbfevo.errors import UserError
+from rbfevo.recorded.parts import representation_in
 from rbfevo.recorded.record import Record
 from rbfevo.runs.config import build
 from rbfevo.runs.source import refuse_changed, settings_of
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.kernels import Kernel
-from rbfevo.scoring.representations import RBF
+from rbfevo.scoring.representations import RBF, Representation
 
 
 class Source(NamedTuple):
-    """What a run scored its setups on: the scenario, the RBFs, and how the design is manipulated."""
+    """What a run scored its setups on: the scenario, the kernel, and how the design is manipulated.
+
+    Of another representation than RBFs, that takes the place of the kernel.
+    """
 
     scenario: Scenario
-    representation: RBF
+    kernel: Kernel | Representation
     manipulation: str
 
 
@@ -33,8 +37,10 @@ def rebuild(run: Path, record: Record) -> Source:
     Raises:
         UserError: if the configuration is missing or wrong, or the scenario is another one by now.
     """
-    if record.genotype is not None:
-        raise UserError(f"{run}: only setups of centers (representation=rbf) can be fitted")
+    recorded_as = representation_in(record)
+    representation = None if isinstance(recorded_as, RBF) and recorded_as.plain else recorded_as
+    if record.genotype is not None and recorded_as.places(record.genotype) is None:
+        raise UserError(f"{run}: only setups of centers (representation=rbf), or of a lattice, can be fitted")
     settings = settings_of(run)
     try:
         scenario = build(settings.scenario)
@@ -49,5 +55,4 @@ def rebuild(run: Path, record: Record) -> Source:
             raise UserError(f"{run}: {name} is {recorded[name]} in summary.json and {value} in .hydra/config.yaml; "
                             "restore the file that was changed")  # fmt: skip
     refuse_changed(run, scenario, record)
-    representation = build(settings.representation, scenario, kernel, record.centers.shape[1])
-    return Source(scenario, representation, settings.manipulation)
+    return Source(scenario, representation or kernel, settings.manipulation)

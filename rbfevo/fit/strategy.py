@@ -20,7 +20,7 @@ from rbfevo.fit.objective import Objective, Optimum, Pairs
 from rbfevo.methods.cmaes.algorithm import CMAES
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.kernels import Kernel
-from rbfevo.scoring.representations import RBF
+from rbfevo.scoring.representations import Representation
 
 FIRST_STEP = 0.3  # of the wanted displacement: about how far a first offspring moves the design
 
@@ -61,7 +61,7 @@ class Fit:
 
 def fits(
     scenario: Scenario,
-    kernel: Kernel | RBF,
+    kernel: Kernel | Representation,
     centers: Tensor,
     manipulation: str | Sequence[str] = "indirect",
     strategy: str = "isotropic",
@@ -84,8 +84,8 @@ def fits(
     steps of an element depend on its setup, settings and generator alone, up to rounding.
 
     Args:
-        scenario, kernel: the design, what it should become, and phi or RBFs with a polynomial.
-        centers: [B, m, d], model units.
+        scenario, kernel: the design, what it should become, and phi, or another representation, which a run has made.
+        centers: [B, m, d], model units, or other setups [B, D].
         manipulation: one of `MANIPULATIONS`, or one for each setup.
         strategy: `isotropic` (only the step size adapts) or `cmaes`.
         generators: B generators, on the host.
@@ -104,7 +104,7 @@ def fits(
     """
     scenario = scenario.to(torch.device("cpu"))
     centers = centers.detach().to("cpu", torch.float64)
-    manipulations = _checked(scenario, centers, manipulation, strategy, len(generators), generations, within)
+    manipulations = _checked(scenario, kernel, centers, manipulation, strategy, len(generators), generations, within)
     facts: dict[int, tuple[float, float]] = {}
     failures: dict[int, str] = {}
 
@@ -119,7 +119,8 @@ def fits(
             yield found.U
 
     objective = Objective(scenario, matrices(), smoothness)
-    m, k = centers.shape[1], scenario.gradient.shape[1]
+    m = kernel.parameters(centers) if isinstance(kernel, Representation) else centers.shape[1]
+    k = scenario.gradient.shape[1]
     results = {b: _failed(reason, m, k) for b, reason in failures.items()}
     if facts:
         rows = list(facts)
@@ -240,6 +241,7 @@ def _failed(reason: str, m: int, k: int) -> Fit:
 
 def _checked(
     scenario: Scenario,
+    kernel: Kernel | Representation,
     centers: Tensor,
     manipulation: str | Sequence[str],
     strategy: str,
@@ -249,7 +251,9 @@ def _checked(
 ) -> list[str]:
     """The manipulation of each setup; UserError for the first setting that is wrong."""
     d = scenario.vertices.shape[1]
-    if centers.ndim != 3 or centers.shape[2] != d:
+    if isinstance(kernel, Representation):
+        kernel.refuse(centers, d)
+    elif centers.ndim != 3 or centers.shape[2] != d:
         raise UserError(f"centers must have shape [B, m, {d}], not {list(centers.shape)}")
     refuse_others("strategy", strategy, STRATEGIES)
     if generations < 0:

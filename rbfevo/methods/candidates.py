@@ -34,8 +34,14 @@ def grid_candidates(lower: Tensor, upper: Tensor, per_axis: int = 30) -> Tensor:
     return torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1).reshape(-1, len(axes))
 
 
-def candidates_of(scenario: Scenario, per_axis: int) -> Tensor:
-    """The grid [c, d] over the box or, of a planar design, over its mid-plane, without the region kept free."""
+def candidates_of(scenario: Scenario, per_axis: int, representation: Representation | None = None) -> Tensor:
+    """The candidates [c, d] of a representation that has its own; else a grid over the box, in what is not kept free.
+
+    Of a planar design it is over its mid-plane.
+    """
+    own = None if representation is None else representation.candidates()
+    if own is not None:
+        return own
     (lower, upper), planar, region = scenario.search_box, scenario.planar, scenario.keep_out
     if isinstance(region, Packaging):  # the grid is over the part of the box that is left
         lower, upper = torch.maximum(lower, region.extent[0]), torch.minimum(upper, region.extent[1])
@@ -57,5 +63,5 @@ def atoms_of(representation: Representation, design: Scenario) -> Callable[[Tens
     """
     atoms = representation.atoms(design.vertices)
     if atoms is None:
-        raise UserError(f"method=ols places centers one by one, and representation={representation.name} has none")
+        representation.refuse_places("ols")
     return atoms

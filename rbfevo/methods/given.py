@@ -61,11 +61,15 @@ class GivenCenters(Heuristic):
         }
 
     def place(self, problem: Problem) -> Tensor:
-        """[p, m, d].
+        """[p, m, d], or [p, *setup] of a representation that reads files of its own.
 
         Raises:
-            UserError: if the representation does not consist of centers, or a setup has no columns.
+            UserError: if a file cannot be used, setups do not consist of centers, or one has no columns.
         """
+        made = problem.representation.given(self.files, problem.scenario)
+        if made is not None:
+            self.inputs = made
+            return made
         if self.inputs is None:
             self.bring(problem.scenario)
         setups = None if self.inputs is None else problem.representation.assemble(self.inputs)

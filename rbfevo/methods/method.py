@@ -117,7 +117,7 @@ class Problem:
         Raises:
             UserError: if the representation does not consist of centers.
         """
-        settled = self.scenario.parameterization.settle(centers)
+        settled = centers if self.representation.dims == 1 else self.scenario.parameterization.settle(centers)
         setups = self.representation.assemble(beginning_with(self.kept, settled) if len(self.kept) else settled)
         if setups is None:
             raise UserError(f"method={method} places centers, and representation={self.representation.name} has none")

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from rbfevo.errors import UserError
 from rbfevo.methods.candidates import TooFewCandidatesError, atoms_of, candidates_of
 from rbfevo.scenarios.coarse import coarsened
 from rbfevo.scenarios.scenario import Scenario
@@ -125,6 +126,10 @@ def nested_of(
     Raises:
         UserError: if the representation does not consist of centers, or too few candidates move anything.
     """
+    if representation.candidates() is not None:
+        raise UserError(
+            f"method=ols picks control points of representation={representation.name} for criterion.norm=2 alone"
+        )
     design, representation = coarsened(scenario.half(), VERTICES), representation.placed_by
     columns = atoms_of(representation, design)
     bounded = [bounded_of(alone, representation, norm) for alone in design.each()]

@@ -159,7 +159,7 @@ class OlsHeuristic(Heuristic):
         atoms, blend = atoms_of(problem.representation.placed_by, design), design.blend
         return ols(
             atoms if blend is None else lambda candidates: blend[:, None] * atoms(candidates),
-            candidates_of(problem.scenario, self.per_axis),
+            candidates_of(problem.scenario, self.per_axis, problem.representation),
             design.gradient,
             problem.free,
             weights=design.weights,

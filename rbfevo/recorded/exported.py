@@ -16,7 +16,6 @@ from rbfevo.errors import UserError
 from rbfevo.recorded.record import Record
 from rbfevo.scoring.kernels import kernel_of
 from rbfevo.scoring.representations import RBF
-from rbfevo.scoring.representations.linear import LinearRBF
 
 NEEDED = (
     *("centers", "vertices", "faces", "lower", "upper", "kernel", "support", "manipulation"),
@@ -43,7 +42,7 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
     if missing:
         raise UserError(f"{path} is no setup.npz of rbfevo.export: it lacks {', '.join(missing)}")
     known = "kernel_spec" in arrays or arrays["kernel"].item() in ("wendland", "triharmonic")
-    if "genotype" in arrays or not known:
+    if not known and "representation_spec" not in arrays:
         raise UserError(
             f"{path}: its representation, {arrays['kernel'].item()}, cannot be rebuilt from an export; give the run "
             "directory and a pick instead"
@@ -58,7 +57,12 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
         "planar": _plane(arrays, "planar"),
     }
     if "kernel_spec" in arrays:
-        summary["representation"] = _representation(path, arrays["kernel_spec"], arrays.get("linear"))
+        summary["representation"] = _representation(path, arrays["kernel_spec"])
+    if "representation_spec" in arrays:
+        try:
+            summary["representation"] = json.loads(arrays["representation_spec"].item())
+        except (ValueError, TypeError, AttributeError):
+            raise UserError(f"{path} cannot be read: its representation_spec is damaged") from None
     if "held" in arrays:
         summary["hold_width"] = float(arrays["hold_width"])
     one, n = np.zeros(1), len(vertices)
@@ -76,25 +80,24 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
         lower=arrays["lower"],
         upper=arrays["upper"],
         summary=summary,
+        genotype=arrays["genotype"][None] if "genotype" in arrays else None,
         blend=arrays.get("blend"),
         held=arrays.get("held"),
     )
     return record, {across: arrays[name] for across, name in ((False, "T"), (True, "T_across")) if name in arrays}
 
 
-def _representation(path: Path, kernel_spec: Array, linear: Array | None) -> dict[str, Any]:
-    """The representation, as summary.json has it, of a kernel's numbers as JSON, and of its linear functions if any.
+def _representation(path: Path, kernel_spec: Array) -> dict[str, Any]:
+    """The representation, as summary.json has it, of a kernel's numbers as JSON.
 
     Raises:
         UserError: if its kernel is not known here.
     """
     try:
         spec = json.loads(kernel_spec.item())
-        functions = None if linear is None else json.loads(linear.item())
     except (ValueError, TypeError, AttributeError):
         raise UserError(f"{path} cannot be read: its kernel_spec is damaged") from None
-    kernel = kernel_of(spec if isinstance(spec, dict) else {})
-    made = RBF(kernel) if functions is None else LinearRBF.of_spec(kernel=kernel.spec(), linear=functions)
+    made = RBF(kernel_of(spec if isinstance(spec, dict) else {}))
     return {"name": made.name, **made.spec()}
 
 

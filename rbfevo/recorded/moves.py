@@ -73,7 +73,7 @@ def wanted_move(
         factor = min(1.0, within_bounds(record, reached))
         reached, weights = factor * reached, factor * weights
         limited = at_bounds(record, reached) if factor < 1.0 else 0
-        return Move(wanted, reached, weights, _of_centers(chosen, weights), False, limited=limited)
+        return Move(wanted, reached, weights, chosen.handles_moved(weights), False, limited=limited)
     whole, record = record, aimed(record, objective)
     fields = [uphill(whole.alone(index_of(whole, name, "--keep"))) for name in keep]
     size = step * float(np.linalg.norm(np.ptp(record.vertices, axis=0)))
@@ -94,7 +94,7 @@ def wanted_move(
     matching = float((record.weights[:, None] * reached**2).sum()) / (factor * gains) if farthest else 0.0
     wanted = wanted * (matching or size / float(np.linalg.norm(wanted, axis=1).max()))
     change = predicted_change(record, reached) if whole.gradients is None else None
-    moved, gained = _of_centers(chosen, weights), changes(whole, reached)
+    moved, gained = chosen.handles_moved(weights), changes(whole, reached)
     return Move(wanted, reached, weights, moved, True, change, gained, limited)
 
 
@@ -132,16 +132,6 @@ def predicted_change(record: Record, displacement: Array) -> float | None:
     if sign is None or not isinstance(norm, int | float):
         return None
     return sign * float(norm) * float((uphill(record) * displacement).sum())
-
-
-def _of_centers(chosen: Setup, weights: Array) -> Array:
-    """The parameters [m, k] of direct manipulation that do what weights do."""
-    if chosen.kernel is None:
-        return np.zeros_like(weights)
-    centers = chosen.free_displacement(chosen.centers, weights)
-    if chosen.mirror is not None and chosen.crosses(centers.shape[1]):
-        centers[chosen.on_plane, chosen.mirror.axis] = 0.0  # rounding apart it is
-    return centers
 
 
 def _stepped(record: Record, chosen: Setup, rule: str, size: float, kept: Sequence[Array] = ()) -> Array:
@@ -204,10 +194,11 @@ def _max_norm(record: Record, chosen: Setup, rising: Array, size: float, without
     weights, blocks, backs = np.zeros((chosen.count, rising.shape[1])), [], []
     parts, share = list(_columns(record, chosen)), _shares(record, size)
     for components, _, U in parts:
+        across = chosen.is_across(components, rising.shape[1])
         left, values, right = np.linalg.svd(U / share[:, None], full_matrices=False)
         kept = values > max(U.shape) * EPS * values[0]
         blocks.append(Block(components, left[:, kept]))
-        backs.append(right[kept].T / values[kept])
+        backs.append(chosen.widened(right[kept].T / values[kept], across))
     found = best_displacement(
         blocks, share[:, None] * rising, _areas(record), NORM, without=[share[:, None] * field for field in without]
     )
@@ -223,7 +214,8 @@ def _natural(record: Record, chosen: Setup, rising: Array, _size: float) -> Arra
         left, values, _ = np.linalg.svd(product)
         kept = values > len(values) * EPS * values[0]
         inverse = (left[:, kept] / values[kept]) @ left[:, kept].T
-        weights[np.ix_(columns, components)] = inverse @ (U.T @ rising[:, components])
+        found = chosen.widened(inverse @ (U.T @ rising[:, components]), chosen.is_across(components, rising.shape[1]))
+        weights[np.ix_(columns, components)] = found
     return weights
 
 
@@ -245,23 +237,27 @@ def metrics(record: Record, chosen: Setup) -> Iterator[tuple[Array, Array, Array
 def _steepest(record: Record, chosen: Setup, rising: Array, _size: float) -> Array:
     """The weights [m, k] of the rule `steepest`."""
     weights = np.zeros((chosen.count, rising.shape[1]))
-    for components, columns, U in _columns(record, chosen):
+    for components, across, columns in chosen.parities(rising.shape[1]):
+        if not len(columns):
+            continue
+        U = chosen.blended(record.vertices, across)[:, columns]
         pulled = U.T @ rising[:, components]
         if chosen.manipulation == "direct":  # U = Phi Psi^-1, and what it is pulled by goes through Psi^-1 twice
             if reason := chosen.immovable(rising.shape[1]):
                 raise UserError(f"--rule steepest: {reason}; choose --rule {RULES[0]} or {RULES[1]}")
-            across = chosen.mirror is not None and chosen.mirror.axis in components and chosen.crosses(rising.shape[1])
-            psi = chosen.psi(across)
-            pulled = np.linalg.solve(psi, np.linalg.solve(psi.T, pulled))
+            pulled = chosen.reduced(chosen.through(pulled, across), across)
         weights[np.ix_(columns, components)] = pulled
     return weights
 
 
 def _columns(record: Record, chosen: Setup) -> Iterator[tuple[Array, Array, Array]]:
-    """Per kind of components of a displacement: which, their columns [r] of U, these times the blend [n, r]."""
+    """Per kind of components of a displacement: which, their columns [r] of Phi, these times the blend [n, r].
+
+    Where points on the surface reach less, those of U [n, m] take the place of the latter.
+    """
     for components, across, columns in chosen.parities(record.gradient.shape[1]):
         if len(columns):
-            yield components, columns, chosen.blended(record.vertices, across)[:, columns]
+            yield components, columns, chosen.narrowed(chosen.blended(record.vertices, across)[:, columns], across)
 
 
 def _areas(record: Record) -> Array:
@@ -275,11 +271,11 @@ def _areas(record: Record) -> Array:
     return record.weights
 
 
-def places_of(chosen: Setup) -> Array:
-    """Where each parameter acts [m, d]: the centers; NaN of a representation whose control points are not those."""
-    if chosen.kernel is not None:
-        return chosen.centers
-    return np.full((chosen.count, chosen.centers.shape[1]), np.nan)
+def places_of(chosen: Setup, what: str = "weights") -> Array:
+    """Where `weights` or `displacements` act: control points [m, d] or handles [h, d]; NaN where they have no place."""
+    if what == "weights" or chosen.immovable(chosen.centers.shape[1]):
+        return chosen.weight_places
+    return chosen.centers
 
 
 def spatial(rows: Array) -> Array:

@@ -25,13 +25,15 @@ class Block(NamedTuple):
     """Parameters of the same columns of U.
 
     Attributes:
-        components: [c] of a displacement; across: whether across the symmetry plane; columns: [r] of U.
-        places: [r, c] of the parameters in a flat list of all; triangle: T [r, r] of U = Q T, or None.
+        components: [c] of a displacement; across: whether across the symmetry plane; columns: of Phi.
+        rows: [r] of the parameters [m, k]; places: [r, c] of the parameters in a flat list of all.
+        triangle: T [r, r] of U = Q T, or None.
     """
 
     components: Ints
     across: bool
     columns: Ints
+    rows: Ints
     places: Ints
     triangle: Array | None
 
@@ -52,17 +54,19 @@ class Parameters:
         if chosen.manipulation == "direct" and (reason := chosen.immovable(k)):
             raise UserError(f"{reason}; choose another pick, or a run with manipulation=indirect")
         self.chosen, self.k = chosen, k
-        self.shape = (chosen.count, k)
-        parts = [part for part in chosen.parities(k) if len(part[0]) and len(part[2])]
+        direct = chosen.manipulation == "direct"
+        self.shape = (len(chosen.centers) if direct else chosen.count, k)
+        found = [part for part in chosen.parities(k) if len(part[0]) and len(part[2])]
+        parts = [(*part, chosen.rows_of(part[1]) if direct else part[2]) for part in found]
         free = np.zeros(self.shape, bool)
-        for components, _, columns in parts:
-            free[np.ix_(columns, components)] = True
+        for components, _, _, rows in parts:
+            free[np.ix_(rows, components)] = True
         self.centers, self.components = np.nonzero(free)
         number = np.full(self.shape, -1)
         number[free] = np.arange(len(self.centers))
         self.blocks = [
-            Block(c, across, columns, number[np.ix_(columns, c)], None if triangle is None else triangle(across))
-            for c, across, columns in parts
+            Block(c, across, columns, rows, number[np.ix_(rows, c)], None if triangle is None else triangle(across))
+            for c, across, columns, rows in parts
         ]
         for block in self.blocks:
             if block.triangle is not None:
@@ -81,7 +85,7 @@ class Parameters:
         found = np.zeros(self.shape)
         for block in self.blocks:
             own = parameters[block.places]
-            found[np.ix_(block.columns, block.components)] = (
+            found[np.ix_(block.rows, block.components)] = (
                 own if block.triangle is None else np.linalg.solve(block.triangle, own)
             )
         return found
@@ -95,7 +99,7 @@ class Parameters:
         self.chosen.refuse_across(rows, "parameter")
         found = np.zeros(len(self))
         for block in self.blocks:
-            own = rows[np.ix_(block.columns, block.components)]
+            own = rows[np.ix_(block.rows, block.components)]
             found[block.places] = own if block.triangle is None else block.triangle @ own
         return found
 
@@ -116,9 +120,9 @@ class Parameters:
         return self._through(block, phi.T).T
 
     def _through(self, block: Block, rows: Array) -> Array:
-        """T^-T Psi^-T times rows [r, ...] of the weights' columns."""
+        """T^-T W^T times rows [r, ...] of the weights' columns."""
         if self.chosen.manipulation == "direct":
-            rows = np.linalg.solve(self.chosen.psi(block.across).T, rows)
+            rows = self.chosen.through(rows, block.across)
         return rows if block.triangle is None else np.linalg.solve(block.triangle.T, rows)
 
 
@@ -163,7 +167,7 @@ class Displacement:
         if self._follows is not None:
             forces = np.where(self._follows, forces, 0.0)
         forces, chosen = self._blend * forces[:, self.axes], self.parameters.chosen
-        pulled, step = np.zeros(self.parameters.shape), chosen.rows_at_once()
+        pulled, step = np.zeros((chosen.count, self.parameters.k)), chosen.rows_at_once()
         for start in range(0, len(forces), step):
             rows = slice(start, start + step)
             places = chosen.on_one_side(self._places[rows])
@@ -196,8 +200,8 @@ class Displacement:
 def design_matrix(chosen: Setup, points: Array, across: bool = False) -> Array:
     """U [n, m] of the run's manipulation at points [n, d]: along the symmetry plane or, of centers off it, across."""
     U = chosen.blended(points, across)
-    U = U[:, chosen.off_plane] if across else U
-    return np.linalg.solve(chosen.psi(across).T, U.T).T if chosen.manipulation == "direct" and U.size else U
+    U = U[:, chosen.off_columns] if across else U
+    return chosen.through(U.T, across).T if chosen.manipulation == "direct" and U.size else U
 
 
 def orthonormal(U: Array, weights: Array) -> tuple[Array, Array]:

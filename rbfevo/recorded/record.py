@@ -225,6 +225,8 @@ class Record:
             kernel += " with a linear polynomial"
         if isinstance(spec, dict) and spec.get("name", "rbf") != "rbf":
             kernel = f"representation {spec['name']}"
+            if isinstance(counts := spec.get("lattice"), list):
+                kernel += f", lattice {' x '.join(map(str, counts))}"
         return f"{entry('scenario', 'unknown')} · {kernel} · {entry('manipulation', 'unknown')} manipulation"
 
 

@@ -100,19 +100,44 @@ class Setup:
         """Indices [m_off] of the centers off the symmetry plane; all of them without one."""
         return np.flatnonzero(~self.on_plane)
 
+    @property
+    def off_columns(self) -> Array:
+        """Indices of the columns of Phi whose control points are off the symmetry plane; all of them without one."""
+        if self.genotype is None or self.mirror is None:
+            return self.off_plane
+        return np.flatnonzero(~self.mirror.on_plane(self.weight_places))
+
+    @property
+    def weight_places(self) -> Array:
+        """Where the control points [m, d] of the columns of Phi sit; NaN of a representation that has none."""
+        if self.genotype is None:
+            return self.centers
+        places = self.representation.places(self.genotype)
+        return np.full((self.count, self.centers.shape[1]), np.nan) if places is None else np.asarray(places)
+
+    @property
+    def times(self) -> Array:
+        """[m] how often each center counts in the columns along the symmetry plane: one on it twice, of RBFs."""
+        return 1 + self.on_plane * (self.kernel is not None)
+
+    def _part(self, across: bool) -> Representation:
+        """What makes the columns along the symmetry plane, or of all, or those across it."""
+        pair = None if self.mirror is None else self.representation.symmetric(self.mirror)
+        return self.representation if pair is None else pair[1] if across else pair[0]
+
     def columns(self, points: Array, across: bool = False) -> Array:
         """Phi [q, m] at points [q, d]: with a mirror the columns along its plane, or those across it."""
-        if self.genotype is not None:
-            return np.asarray(self.representation.phi(points, self.genotype))
-        pair = None if self.mirror is None else self.representation.symmetric(self.mirror)
-        if pair is None:
-            return np.asarray(self.representation.phi(points, self.centers))
-        if not across:
-            return np.asarray(pair[0].phi(points, self.centers))
-        found, off = np.zeros((len(points), self.count)), self.off_plane
-        if len(off):  # those on the plane have no column
-            found[:, off] = pair[1].phi(points, self.centers[off])
-        return found
+        if self.genotype is None and across and self.mirror is not None:
+            found, off = np.zeros((len(points), self.count)), self.off_plane
+            if len(off):  # those on the plane have no column
+                found[:, off] = self._part(across).phi(points, self.centers[off])
+            return found
+        found = np.asarray(self._part(across).phi(points, self.centers if self.genotype is None else self.genotype))
+        if self.genotype is None or not across or self.mirror is None:
+            return found
+        columns = np.zeros((len(points), self.count))  # those on the plane have none
+        columns[:, self.off_columns] = found
+        return columns
 
     def blended(self, points: Array, across: bool = False) -> Array:
         """The columns [q, m] at points [q, d] times the blend of what is held: U of indirect manipulation."""
@@ -126,8 +151,12 @@ class Setup:
 
     def immovable(self, k: int) -> str:
         """Why the control points cannot be moved one by one by displacements with k components; empty if they can."""
-        if self.kernel is None:
-            return f"the control points of representation={self.representation.name} cannot be moved one by one"
+        if self.genotype is not None:
+            try:
+                self.representation.weights(self.genotype)
+            except UserError as error:
+                return str(error)
+            return ""
         if self.singular() or (self.crosses(k) and self.singular(across=True)):
             return "these centers cannot be moved one by one: their kernel matrix Psi is numerically singular"
         return ""
@@ -147,6 +176,10 @@ class Setup:
         """Whether displacements with k components have one across a symmetry plane; heights (k = 1) have none."""
         return self.mirror is not None and k > 1
 
+    def is_across(self, components: Array, k: int) -> bool:
+        """Whether components of a displacement with k of them are those across the symmetry plane."""
+        return self.mirror is not None and self.crosses(k) and self.mirror.axis in components
+
     def parities(self, k: int) -> Iterator[tuple[Array, bool, Array]]:
         """Split k components of a displacement by their columns: components, across or not, indices of the columns.
 
@@ -157,7 +190,7 @@ class Setup:
         apart = {axis, -1 if self.planar is None else self.planar.axis}
         yield np.array([component for component in range(k) if component not in apart], dtype=int), False, everything
         if axis >= 0:
-            yield np.array([axis]), True, self.off_plane
+            yield np.array([axis]), True, self.off_columns
 
     def refuse_across(self, rows: Array, what: str) -> None:
         """Raise UserError where rows [m, k] would move a center out of a plane that it cannot leave."""
@@ -169,7 +202,11 @@ class Setup:
             )
         if self.mirror is None or not self.crosses(rows.shape[1]):
             return
-        wrong = np.flatnonzero(self.on_plane & (rows[:, self.mirror.axis] != 0))
+        still = self.on_plane
+        if what == "weight":
+            still = np.ones(self.count, dtype=bool)
+            still[self.off_columns] = False
+        wrong = np.flatnonzero(still & (rows[:, self.mirror.axis] != 0))
         if wrong.size:
             axis = "xyz"[self.mirror.axis]
             raise UserError(
@@ -178,25 +215,99 @@ class Setup:
             )
 
     def weights(self, displacements: Array) -> Array:
-        """RBF weights [m, k] that move the centers by these displacements [m, k], model units.
+        """Weights [m, k] of the columns of Phi that move the handles by these displacements [h, k], model units.
 
         Raises:
             UserError: if Psi is numerically singular, or a center is to leave the symmetry plane that it lies on.
         """
-        if self.kernel is None:
-            raise UserError(f"{self.immovable(displacements.shape[1])}; give weights instead (--weights)")
+        if self.genotype is not None and (reason := self.immovable(displacements.shape[1])):
+            raise UserError(f"{reason}; give weights instead (--weights)")
         self.refuse_across(displacements, "displacement")
-        weights = np.zeros(displacements.shape)
+        weights = np.zeros((self.count, displacements.shape[1]))
         for components, across, columns in self.parities(displacements.shape[1]):
-            if self.singular(across):
+            if self.kernel is not None and self.singular(across):
                 raise UserError(
                     "these centers cannot be moved one by one: their kernel matrix Psi is numerically singular (do two "
                     "of them coincide?); choose another pick, or give RBF weights (--weights)"
                 )
             if columns.size:
-                cells = np.ix_(columns, components)
-                weights[cells] = np.linalg.solve(self.psi(across), displacements[cells])
+                own = displacements[np.ix_(self.rows_of(across), components)]
+                weights[np.ix_(columns, components)] = self.reduced(own, across)
         return weights
+
+    def rows_of(self, across: bool) -> Array:
+        """Indices of the handles that have a displacement along the symmetry plane, or across it."""
+        return self.off_plane if across else np.arange(len(self.centers))
+
+    def reduced(self, rows: Array, across: bool = False) -> Array:
+        """W times rows [h, ...] of displacements of the handles: weights [r, ...] of the columns of Phi."""
+        if self.kernel is not None:
+            return np.linalg.solve(self.psi(across), rows)
+        W = None if self.genotype is None else self._part(across).weights(self.genotype)
+        return rows if W is None else W @ rows
+
+    def through(self, rows: Array, across: bool = False) -> Array:
+        """W^T times rows [r, ...] of the columns of Phi: rows [m, ...] of those of U under direct manipulation."""
+        if self.kernel is not None:
+            return np.linalg.solve(self.psi(across).T, rows)
+        W = None if self.genotype is None else self._part(across).weights(self.genotype)
+        return rows if W is None else W.T @ rows
+
+    def narrowed(self, columns: Array, across: bool = False) -> Array:
+        """Columns U [q, m] of columns [q, r] of Phi where they reach less, as points on the surface do; else these."""
+        W = self._narrow(across)
+        return columns if W is None else columns @ W
+
+    def widened(self, rows: Array, across: bool = False) -> Array:
+        """Weights [r, ...] of rows [m, ...] of parameters of the `narrowed` columns."""
+        W = self._narrow(across)
+        return rows if W is None else W @ rows
+
+    def _narrow(self, across: bool) -> Array | None:
+        """W of a representation whose points on the surface reach less than its columns; None of others."""
+        return self._part(across).weights(self.genotype) if self.representation.narrows else None
+
+    def doubts(self, record: Record) -> list[str]:
+        """A line where columns of U depend on each other, and one where they reach less than those of Phi."""
+        if self.genotype is None or record.variability is None:
+            return []
+        rank = round(float(record.variability[self.row]) * len(record.vertices))
+        m, lines = self.representation.parameters(self.genotype), []
+        if rank < m:
+            idle = int((self.columns(record.vertices) == 0.0).all(axis=0).sum())
+            move = f"; {idle} control points move no vertex" if idle else ""
+            lines.append(f"rank {rank} of {m} columns, so that R = 0: some combinations of them move no vertex{move}")
+        inside = self.representation.jumps(record.vertices, self.genotype)
+        if inside is not None and len(record.faces):
+            torn = int((inside[record.faces].any(axis=1) != inside[record.faces].all(axis=1)).sum())
+            if torn:
+                lines.append(
+                    f"the surface passes through the faces of the box, where displacements end abruptly, in {torn} "
+                    "triangles: representation.active=inner keeps it whole"
+                )
+        if self.representation.narrows:
+            lines.append(
+                f"direct manipulation: {m} points on the surface move, and P and V are theirs, not those of the "
+                f"{self.count} control points"
+            )
+        return lines
+
+    @property
+    def on_surface(self) -> bool:
+        """Whether handles move as points of the design do, as centers and points on the surface, not control points."""
+        return self.kernel is not None or (self.manipulation == "direct" and self.genotype is not None)
+
+    def handles_moved(self, weights: Array) -> Array:
+        """The parameters [h, k] that weights [m, k] are: displacements of the handles, but for the blend.
+
+        0 of a representation whose control points cannot be moved one by one.
+        """
+        if self.kernel is None and self.immovable(weights.shape[1]):
+            return np.zeros((len(self.centers), weights.shape[1]))
+        found = self.free_displacement(self.centers, weights) if self.on_surface else weights.copy()
+        if self.mirror is not None and self.crosses(found.shape[1]):
+            found[self.on_plane, self.mirror.axis] = 0.0  # rounding apart it is
+        return found
 
     def blend(self, points: Array) -> Array:
         """What the rows of U at points [q, d] are multiplied by: [q, 1], 0 at held points; ones where none is held."""
@@ -204,7 +315,7 @@ class Setup:
 
     def moved(self, centers: Array) -> Array:
         """How far the centers move [m, k] under parameters [m, k] of direct manipulation: less near held points."""
-        return centers if self.hold is None or self.kernel is None else self.blend(self.centers) * centers
+        return self.blend(self.centers) * centers if self.hold is not None and self.on_surface else centers
 
     def displacement(self, points: Array, weights: Array, block: int = BLOCK) -> Array:
         """Displacements [q, k] of points [q, d] under weights [m, k], a block of points at a time.
@@ -250,15 +361,17 @@ class Setup:
         (n, k), block = record.gradient.shape, self.rows_at_once(block)
         weights = np.zeros((self.count, k))
         for components, across, columns in self.parities(k):
-            triangle = np.empty((0, len(columns) + len(components)))
+            width = len(self.rows_of(across)) if self.representation.narrows else len(columns)
+            triangle = np.empty((0, width + len(components)))
             for start in range(0, n, block):
                 rows = slice(start, start + block)
-                phi = self.blended(record.vertices[rows], across)[:, columns]
+                phi = self.narrowed(self.blended(record.vertices[rows], across)[:, columns], across)
                 here = np.hstack([phi, record.gradient[rows][:, components]]) * np.sqrt(record.weights[rows, None])
                 triangle = np.asarray(np.linalg.qr(np.vstack([triangle, here]), mode="r"))
             if columns.size:
-                left, right = triangle[:, : len(columns)], triangle[:, len(columns) :]
-                weights[np.ix_(columns, components)] = np.linalg.lstsq(left, right, rcond=max(n, len(columns)) * EPS)[0]
+                left, right = triangle[:, :width], triangle[:, width:]
+                found = np.linalg.lstsq(left, right, rcond=max(n, width) * EPS)[0]
+                weights[np.ix_(columns, components)] = self.widened(found, across)
         return weights
 
     def best(self, record: Record, block: int = BLOCK) -> Array:

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from rbfevo import methods
 from rbfevo.errors import UserError
-from rbfevo.methods.method import Method, Problem, Rows, no_preference, random_stream
-from rbfevo.runs.config import OWN_CENTERS, Settings, build
+from rbfevo.methods.method import Heuristic, Method, Problem, Rows, no_preference, random_stream
+from rbfevo.runs.config import OWN_CENTERS, Settings, brings_centers, build
 from rbfevo.runs.identity import stages_of
 from rbfevo.runs.judged import Judged
 from rbfevo.scenarios.beginnings import read_kept, read_starts
@@ -62,10 +62,15 @@ class Parts:
                 f"centers={settings.centers}: scenario {self.scenario.name} has only {n} vertices; use fewer"
             )
         self.kernel: Kernel = build(settings.kernel, d, self.scenario.support, self.scenario.diagonal)
-        self.representation: Representation = build(
-            settings.representation, self.scenario, self.kernel, settings.centers
-        )
+        made: Representation = build(settings.representation, self.scenario, self.kernel, settings.centers)
+        self.representation = made.for_run(self.scenario, settings.manipulation)
+        self.scenario = dataclasses.replace(self.scenario, notes={**self.scenario.notes, **self.representation.notes()})
+        for stage in (stage for stage in self.stages if not isinstance(stage, Heuristic)):
+            self.representation.refuse_search(stage.name)
         self.space = self._space()
+        if settings.centers == OWN_CENTERS:
+            own = self.representation.parameters(self.space.place(self.space.lower))
+            self.settings = settings = dataclasses.replace(settings, centers=own)
         self._refuse_too_few_vertices(method)
         self.name: str = method.name
         for stage in self.stages:
@@ -82,7 +87,8 @@ class Parts:
         Raises:
             UserError: if another number was asked for.
         """
-        for stage in (stage for stage in self.stages if stage.brings):
+        own = brings_centers(settings.representation)
+        for stage in (stage for stage in self.stages if stage.brings and not own):
             count, notes = stage.bring(self.scenario)
             if settings.centers not in (OWN_CENTERS, count):
                 raise UserError(

@@ -24,7 +24,7 @@ from rbfevo.errors import UserError
 
 CONF = next(path for path in (Path(__file__).parents[1] / "conf", Path(__file__).parents[2] / "conf") if path.is_dir())
 CENTERS = 25  # the default
-OWN_CENTERS = 0  # as many as the method's own setups have
+OWN_CENTERS = 0  # as many as the setups of the method or of the representation have by themselves
 
 
 @dataclasses.dataclass
@@ -57,7 +57,7 @@ ROOTS = ("hydra", *(field.name for field in dataclasses.fields(RunConfig)))  # w
 class Settings:
     """Checked settings of one run; the four nodes, plain dictionaries, are what `build` makes their objects of.
 
-    `centers` is `OWN_CENTERS` where the method brings its own and nobody has asked for a number.
+    `centers` is `OWN_CENTERS` where method or representation has its own number and nobody has asked for another.
     """
 
     scenario: dict[str, Any]
@@ -96,7 +96,7 @@ def check(config: DictConfig, overrides: Sequence[str] = ()) -> Settings:
         representation=checked_target(top.representation or RBF, "representation"),
         manipulation=str(top.manipulation["name"]),
         seed=top.seed,
-        centers=top.centers if asked or not brings_centers(top.method) else OWN_CENTERS,
+        centers=top.centers if asked or not any(map(brings_centers, (top.method, top.representation))) else OWN_CENTERS,
         preferences=preferences(top.preference),
         device=top.device,
         evaluator=top.evaluator,
@@ -214,7 +214,7 @@ def target_of(path: str) -> Any:
 
 
 def brings_centers(node: Any) -> bool:
-    """Whether a method's own settings determine the number of centers."""
+    """Whether the settings of a method or a representation determine the number of centers."""
     return isinstance(node, dict) and "_target_" in node and bool(getattr(target_of(node["_target_"]), "brings", False))
 
 

@@ -59,6 +59,7 @@ class Run(Parts):
         self._done: dict[str, int] = dict.fromkeys(COUNTERS, 0)  # by the parts of this run carried out earlier
         self._stage_index = self._step = self._before = 0  # of the rows, those before this stage
         self.warnings: list[str] = [*self.scenario.warnings, *reach.unfit(self.scenario, self.kernel.support)]
+        self.warnings += self.representation.doubts(self.scenario)
         self.warnings += unused_preferences(settings)
         self.differences: dict[str, float] | None = None
         self.printed = 0  # of the warnings
@@ -221,6 +222,7 @@ class Run(Parts):
             idle = reach.idle_centers(self.scenario, self.kernel.support, found.nan_to_num()).numpy()
         rows = [one.rows for one in judged]
         table = storage.setup_table(rows, self.representation, self.scenario.vertices.shape[1], judged)
+        self.warnings += self._of_ranks(table)
         objectives = torch.cat([one.searched.objectives for one in judged])
         storage.write_scenario(directory, self.scenario)
         names = () if self.scenario.objectives is None else self.scenario.objectives.names
@@ -232,6 +234,19 @@ class Run(Parts):
         for warning in [*self.warnings[self.printed :], *drawn]:
             reporter.line(f"warning: {warning}")
         reporter.closing_table(table, directory, idle, self.norm, names)
+
+    def _of_ranks(self, table: dict[str, np.ndarray]) -> list[str]:
+        """A warning where columns of setups that are no centers depend on each other."""
+        if "genotype" not in table:
+            return []
+        m = self.representation.parameters(torch.from_numpy(table["genotype"]))
+        ranks = np.rint(table["variability"] * len(self.scenario.vertices)).astype(int)
+        low = ranks[ranks < m]
+        if not len(low):
+            return []
+        span = f"{low.min()}" if low.min() == low.max() else f"{low.min()} to {low.max()}"
+        hint = "" if len(low) < len(ranks) else "; a lower degree, fewer control points or method=ols may help"
+        return [f"{len(low)} of {len(ranks)} setups have R = 0: their {m} columns have the rank {span}{hint}"]
 
     def _write_sequence(self, directory: Path, reporter: Reporter) -> None:
         """Write sequence.csv where a method placed one center after the other, and say where another stops paying."""

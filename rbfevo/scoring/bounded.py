@@ -111,6 +111,11 @@ class BoundedPotential:
         count = len(self.u)
         drawn = torch.randperm(count, generator=torch.Generator().manual_seed(0))[:SAMPLE]
         self._sample = drawn.sort().values if count >= 2 * SAMPLE else None
+        if self.representation.narrows:
+            raise UserError(
+                f"criterion.norm={p:g}: P_p is that of all columns, while points on the surface reach less; "
+                "set manipulation=indirect or criterion.norm=2"
+            )
         self._pair = None if mirror is None else self.representation.symmetric(mirror)
         if mirror is not None and self._pair is None:
             raise UserError(f"scenario.symmetry: representation={self.representation.name} has no symmetric setups")
@@ -263,7 +268,7 @@ class BoundedPotential:
             for these in self._steps():
                 dPhi = (w @ field[part.components, these])[None]
                 total += self._pull(part, self.vertices[these], dPhi)
-            if part.rows is None:
+            if part.rows is None or part.setup.ndim == 1:
                 out += total
             else:
                 out[part.rows] += total
@@ -283,9 +288,14 @@ class BoundedPotential:
         k = self.a.shape[1]
         if self.mirror is None or self._pair is None:
             return [_Columns(list(range(k)), self.representation, setup, None)]
-        setup, axis = self.mirror.snapped(setup), self.mirror.axis
+        axis, others = self.mirror.axis, [c for c in range(k) if c != self.mirror.axis]
+        own = self.representation.off_plane()
+        if own is not None:  # setups that are no centers come whole
+            found = [_Columns(others, self._pair[0], setup, None)]
+            return [*found, _Columns([axis], self._pair[1], setup, own)] if bool(own.any()) else found
+        setup = self.mirror.snapped(setup)
         off = ~self.mirror.on_plane(setup)
-        found = [_Columns([c for c in range(k) if c != axis], self._pair[0], setup, None)]
+        found = [_Columns(others, self._pair[0], setup, None)]
         if bool(off.any()):
             found.append(_Columns([axis], self._pair[1], setup[off], off))
         return found

@@ -33,7 +33,7 @@ class Factors(NamedTuple):
 
     Attributes:
         T: [p, m, m] lower triangular, T T^T = G; columns that no vertex feels have a diagonal of their own.
-        y: [p, m, k] T^-1 b; means nothing where `deficient`.
+        y: [p, m, k] Q^T g, which is T^-1 b unless `deficient`.
         potentials: [p, J] P of each objective, maximized; rank: [p].
         usable: [p] finite setups with a finite G; deficient: [p] numerically rank-deficient ones.
     """
@@ -181,6 +181,11 @@ class Evaluator:
             L[index], y[index], potentials[index], rank[index], deficient[index] = self._refine(
                 setups[index], G[index], L[index], sound[index], empty[index]
             )
+        if self.representation.narrows:  # a diagonal of their own would show in the columns of U
+            index = torch.nonzero(usable & ~deficient & (rank < m)).flatten()
+            if len(index):
+                deficient[index] = True
+                L[index], y[index], potentials[index], rank[index] = self._factorized(setups[index])
         return Factors(L, y, potentials, rank, usable, deficient)
 
     def _score(self, setups: Tensor, finite: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -203,19 +208,22 @@ class Evaluator:
         if self.deformation.manipulation != "indirect":
             L, _, undetermined = self.representation.reduce(setups, L, self.deformation.manipulation)
             lost |= undetermined
-            if L.shape[1] != L.shape[2]:  # fewer parameters than columns: they reach less
-                return self._narrow(L, y, undetermined, usable & ~deficient)  # the definition scores those
+            if L.shape[1] != L.shape[2] or self.representation.narrows:  # they reach less than the columns
+                return self.narrow(L, y, undetermined, usable & (deficient | (rank == L.shape[2])))
         sigma = singular_values(L)
         return Singular(sigma[:, 0], sigma[:, -1], lost, potentials, rank, usable)
 
-    def _narrow(self, factor: Tensor, y: Tensor, lost: Tensor, usable: Tensor) -> Singular:
-        """Singular values, P and rank of U = Q T^T W from `factor` [p, m, r], m < r, and y = Q^T g."""
+    def narrow(self, factor: Tensor, y: Tensor, lost: Tensor, usable: Tensor) -> Singular:
+        """Singular values, P and rank of U = Q T^T W from `factor` [p, m, r] and y = Q^T g."""
         parts = []
         for one, coordinates in zip(factor, y, strict=True):  # one at a time: in a batch LAPACK may round otherwise
             left, sigma, _ = torch.linalg.svd(one.mT, full_matrices=False)
             kept = sigma > cutoff(len(self.deformation.vertices), len(one)) * sigma[:1]
             reached = self.combination.norms(torch.where(kept[:, None], left.mT @ coordinates, 0.0))
             parts.append((sigma[0], sigma[-1], ~kept.all(), reached, kept.sum()))
+        if not parts:  # an empty population
+            nothing, none = factor.new_zeros(0), lost.to(torch.int64)
+            return Singular(nothing, nothing, lost, factor.new_zeros(0, self.combination.count), none, usable)
         largest, smallest, short, potentials, rank = (torch.stack(column) for column in zip(*parts, strict=True))
         return Singular(largest, smallest, lost | short, potentials, rank, usable)
 
@@ -250,9 +258,7 @@ class Evaluator:
         deficient[torch.cat([*lost, pending])] = True
         index = torch.nonzero(deficient).flatten()
         if len(index):
-            self.factorizations += len(index)
-            found = self._factorize(setups[index].to(self.deformation.vertices.device))
-            T[index], potentials[index], rank[index] = (part.to(T.device) for part in found)
+            T[index], y[index], potentials[index], rank[index] = self._factorized(setups[index])
         return T, y, potentials, rank, deficient
 
     def triangle(self, setup: Tensor) -> Tensor:
@@ -267,14 +273,19 @@ class Evaluator:
             R = torch.linalg.qr(torch.cat((R, block)), mode="r")[1]
         return R
 
-    def _factorize(self, setups: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Triangular factor, P and rank by blocked Householder QR of (Phi g), as good as an SVD of Phi."""
+    def _factorized(self, setups: Tensor) -> tuple[Tensor, ...]:
+        """Triangular factor, Q^T g, P and rank by blocked Householder QR of (Phi g), as good as an SVD of Phi."""
+        self.factorizations += len(setups)
+        found = self._factorize(setups.to(self.deformation.vertices.device))
+        return tuple(part.to(setups.device) for part in found)
+
+    def _factorize(self, setups: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         n, m = len(self.deformation.vertices), self.representation.columns(setups)
         R = torch.stack([self.triangle(setup) for setup in setups])  # a batch of QR runs no faster
         left, sigma = left_singular(R[:, :m, :m])
         kept = sigma > cutoff(n, m) * sigma[:, :1]
         potentials = self.combination.norms(torch.where(kept[:, :, None], product(left.mT, R[:, :m, m:]), 0.0))
-        return R[:, :m, :m].mT, potentials, kept.sum(1)
+        return R[:, :m, :m].mT, R[:, :m, m:], potentials, kept.sum(1)
 
 
 def zeroed(setups: Tensor, kept: Tensor) -> Tensor:

@@ -145,7 +145,8 @@ def _score_one(
     regularity, potentials, variability = _evolvability(Phi, gradient, weights, combination)
     if deformation.manipulation != "indirect":
         U = deformation.representation.matrix(Phi, setup, deformation.manipulation)
-        if U is not None and U.shape != Phi.shape:  # fewer parameters than columns: they reach less
+        narrows = deformation.representation.narrows
+        if U is not None and (narrows or U.shape != Phi.shape):  # they reach less than the columns of Phi
             regularity, potentials, variability = _evolvability(U, gradient, weights, combination)
         elif U is None:
             regularity = zero

@@ -42,7 +42,8 @@ class Spectrum:
         finite = torch.isfinite(centers).flatten(1).all(1)
         self.evaluator = evaluator
         self.centers = torch.where(finite.view(-1, *(1,) * (centers.ndim - 1)), centers.detach(), 0.0)
-        T, self._y, potentials, rank, usable, deficient = evaluator.factors(self.centers, finite)
+        T, y, potentials, rank, usable, deficient = evaluator.factors(self.centers, finite)
+        self._y = torch.where(deficient[:, None, None], 0.0, y)
         m = T.shape[1]
         evaluator.evaluations += len(centers)
         evaluator.failed_evaluations += int((~usable).sum())
@@ -51,17 +52,39 @@ class Spectrum:
         self.potentials = torch.where(usable[:, None], potentials.clamp(0.0, 1.0), 0.0)
         self.potential = evaluator.combination(self.potentials)
         self.regular = self.improvable & (rank == m)
+        self._phi: tuple[Tensor, Tensor, Tensor] | None = None
         if evaluator.deformation.manipulation != "indirect":
-            T, self._inverse, lost = evaluator.representation.reduce(
-                self.centers, T, evaluator.deformation.manipulation
-            )
-            self.regular &= ~lost
-            if T.shape[1] != T.shape[2]:
-                raise UserError(
-                    f"representation={evaluator.representation.name} has no gradients under direct manipulation"
-                )
+            reduced = evaluator.representation.reduce(self.centers, T, evaluator.deformation.manipulation)
+            if reduced.weights is not None and evaluator.representation.narrows:
+                sound = usable & (deficient | (rank == m)) & ~reduced.singular
+                T = self._narrowed((T, y, reduced.weights), reduced.factor, sound)
+                m = T.shape[1]
+            else:
+                T, self._inverse, lost = reduced
+                self.regular &= ~lost
+                if T.shape[1] != T.shape[2]:
+                    raise UserError(
+                        f"representation={evaluator.representation.name} has no gradients under direct manipulation"
+                    )
         identity = torch.eye(m, dtype=T.dtype, device=T.device)
         self._V, self.sigma = left_singular(torch.where(self.regular[:, None, None], T, identity))
+
+    def _narrowed(self, phi: tuple[Tensor, Tensor, Tensor], factor: Tensor, sound: Tensor) -> Tensor:
+        """The triangular factor T' [p, m, m] of U = Q T^T W, whose columns reach less than those of Phi.
+
+        With T^T W = Q' T'^T it takes the place of T, and Q'^T y that of y. `phi` is T, y and W, factor W^T T.
+        """
+        evaluator = self.evaluator
+        found = evaluator.narrow(factor, phi[1], ~sound, sound)
+        self.potentials = torch.where(sound[:, None], found.potentials.clamp(0.0, 1.0), 0.0)
+        self.potential = evaluator.combination(self.potentials)
+        self.regular = self.improvable = sound & ~found.lost
+        self._phi = phi
+        parts = [torch.linalg.qr(one.mT) for one in factor]  # one at a time: in a batch LAPACK may round otherwise
+        Q, R = (torch.stack(part) for part in zip(*parts, strict=True))
+        self._y = product(Q.mT, phi[1])
+        self._T = torch.where(self.regular[:, None, None], R.mT, torch.eye(R.shape[-1], dtype=R.dtype, device=R.device))
+        return self._T
 
     @property
     def regularity(self) -> Tensor:
@@ -86,6 +109,9 @@ class Spectrum:
         squares, moments = self._through_potentials(dpotential, w)
         dM[:, :m, :m] = product(scaled, Z.mT) - squares
         dM[:, :m, m:] = moments
+        through = None
+        if self._phi is not None:
+            dM, through = self._of_columns(dM)
         gradient = self.evaluator.gram.backward(self.centers, dM)
         if self._inverse is not None:
             representation = self.evaluator.representation
@@ -93,8 +119,30 @@ class Spectrum:
             if found is None:
                 raise UserError(f"representation={representation.name} has no gradients under direct manipulation")
             gradient += found
+        if through is not None:
+            found = self.evaluator.representation.pull_weights(self.centers, through)
+            if found is None:
+                name = self.evaluator.representation.name
+                raise UserError(f"representation={name} has no gradients under direct manipulation")
+            gradient += found
         sound = torch.isfinite(gradient).flatten(1).all(1)
         return torch.where(sound.view(-1, *(1,) * (gradient.ndim - 1)), gradient, 0.0)
+
+    def _of_columns(self, dM: Tensor) -> tuple[Tensor, Tensor]:
+        """Of a gradient in W^T G W and W^T b of U: that in G and b of Phi, and that in W [p, r, m]."""
+        if self._phi is None:
+            raise UserError("the columns of U are those of Phi")
+        T, y, W = self._phi
+        m, k = W.shape[2], y.shape[2]
+        dG, db = dM[:, :m, :m], dM[:, :m, m:]
+        r = W.shape[1]
+        whole = torch.zeros(len(W), r + k, r + k, dtype=W.dtype, device=W.device)
+        whole[:, :r, :r] = product(product(W, dG), W.mT.contiguous())
+        whole[:, :r, r:] = product(W, db)
+        b = product(T, y)
+        dW = product(T, product(T.mT, product(W, dG + dG.mT))) + product(b, db.mT)
+        dW = torch.where(self.improvable[:, None, None], dW, 0.0)
+        return whole, dW
 
     def _through_potentials(self, dpotential: Tensor, w: Tensor) -> tuple[Tensor, Tensor]:
         """What gradients [p] in P, or [p, J] in P of each objective, add to those in G (taken off there) and in b."""

@@ -22,7 +22,7 @@ from rbfevo.scoring.representations import RBF, Representation
 from rbfevo.scoring.threads import coarse, run_in_slices
 
 FUSED_BLOCK = 1024  # m = 25 rows of 1024 float64 are 200 KiB: half of a usual second-level cache
-EAGER_BLOCK = {"cpu": 1024, "cuda": 8192}
+CUDA_BLOCK = 8192
 EAGER_BYTES = 1 << 18  # of one temporary of an eager step on the CPU: in cache
 GPU_SHARE = 16  # one temporary of an eager step takes at most one in so many parts of a GPU's free memory
 
@@ -75,7 +75,8 @@ class GramAccumulator:
         self._support = 0.0 if self._rbf is None else self._rbf.kernel.support or 0.0
         self.code = -1 if code is None else code
         device = vertices.device
-        self.size = block or (FUSED_BLOCK if self.backend == "fused" else EAGER_BLOCK.get(device.type, 1024))
+        eager = CUDA_BLOCK if device.type == "cuda" else self.representation.block
+        self.size = block or (FUSED_BLOCK if self.backend == "fused" else eager)
         self._bytes = torch.cuda.mem_get_info(device)[0] // GPU_SHARE if device.type == "cuda" else EAGER_BYTES
         self.blocks: VertexBlocks = vertex_blocks(vertices, gradient, weights, self.size, blend)
         with coarse():

@@ -1,9 +1,10 @@
 """Scores of symmetric setups: U is one block for components along the plane, and one for the component across it.
 
 Along the plane column c is phi_c + phi_c', across it phi_c - phi_c' (`rbfevo.geometry.mirror`), where a center on the
-plane has no column. The parameters of the m columns move nothing but their own component, so that U is block diagonal:
-R is the smallest singular value of both blocks over the largest of both, and P adds up what each block reaches of its
-own components of g. V is that of the block along the plane, m/n at best.
+plane has no column. Setups that are no centers have the columns that their representation gives them. The parameters
+of the m columns move nothing but their own component, so that U is block diagonal: R is the smallest singular value of
+both blocks over the largest of both, and P adds up what each block reaches of its own components of g. V is that of the
+block along the plane, m/n at best.
 """
 
 from __future__ import annotations
@@ -81,7 +82,8 @@ class MirroredEvaluator(Evaluator):
 
     def definition_of_each(self, centers: Tensor) -> tuple[Scores, Tensor]:
         """Scores [*pop] of centers [*pop, m, d] by the definition, and P [*pop, J] of each objective; the reference."""
-        flat = centers.detach().reshape(-1, *centers.shape[-2:]).to(self.deformation.vertices.device)
+        dims = self.representation.dims
+        flat = centers.detach().reshape(-1, *centers.shape[-dims:]).to(self.deformation.vertices.device)
         columns = torch.zeros(3 + self.combination.count, len(flat), dtype=centers.dtype, device=flat.device)
 
         def work(begin: int, end: int) -> None:
@@ -89,7 +91,9 @@ class MirroredEvaluator(Evaluator):
                 columns[:, i] = self._define(flat[i])
 
         run_in_slices(work, len(flat))
-        regularity, variability, failed, *each = columns.to(centers.device).reshape(len(columns), *centers.shape[:-2])
+        regularity, variability, failed, *each = columns.to(centers.device).reshape(
+            len(columns), *centers.shape[:-dims]
+        )
         potentials = torch.stack(each, dim=-1)
         return Scores(regularity, self.combination(potentials), variability, failed > 0), potentials
 
@@ -98,21 +102,26 @@ class MirroredEvaluator(Evaluator):
         failure = setup.new_tensor([0.0, 0.0, 1.0, *[0.0] * self.combination.count])
         if not bool(torch.isfinite(setup).all()):
             return failure
-        setup = self.mirror.snapped(setup)
-        free = setup[~self.mirror.on_plane(setup)]
+        setup = self.snapped(setup)
+        free = setup[~self.mirror.on_plane(setup)] if self.representation.dims == 2 else setup
         rank, residuals, lost, sigmas = 0, setup.new_zeros(self.combination.count), False, []
         for part, centers in ((self.along, setup), (self.across, free)):
             roots = self.weights.sqrt()[:, None]
-            if not len(centers):
+            if not len(centers) or not part.representation.columns(centers):
                 residuals = residuals + self.combination.norms(roots * part.gradient)
                 continue
             Phi = part.deformation.phi(centers)
             if not bool(torch.isfinite(Phi).all()):
                 return failure
-            sigma, kept, left = projection(Phi, part.gradient, self.weights, self.combination)
+            direct = self.deformation.manipulation != "indirect"
+            narrow = (
+                part.representation.matrix(Phi, centers, "direct") if direct and part.representation.narrows else None
+            )
+            reached = Phi if narrow is None else narrow
+            sigma, kept, left = projection(reached, part.gradient, self.weights, self.combination)
             residuals, lost = residuals + left, lost or not bool(kept.all())
             rank = int(kept.sum()) if part is self.along else rank
-            if self.deformation.manipulation != "indirect" and not lost:
+            if direct and narrow is None and not lost:
                 U = part.representation.matrix(Phi, centers, self.deformation.manipulation)
                 sigma = torch.ones_like(Phi[0]) if U is None else torch.linalg.svdvals(roots * U)
                 lost = lost or U is None
@@ -129,7 +138,7 @@ class MirroredEvaluator(Evaluator):
 
     def singular(self, setups: Tensor, finite: Tensor) -> Singular:
         """Extreme singular values of both blocks, the sum of their P, and the rank of the block along the plane."""
-        setups = self.mirror.snapped(setups)
+        setups = self.snapped(setups)
         largest, smallest, lost, potentials, rank, usable = self.along.singular(setups, finite)
         for rows, centers in self.off_plane(setups):
             part = self.across.singular(centers, finite[rows])
@@ -140,11 +149,19 @@ class MirroredEvaluator(Evaluator):
             usable[rows] &= part.usable
         return Singular(largest, smallest, lost, potentials, rank, usable)
 
+    def snapped(self, setups: Tensor) -> Tensor:
+        """Setups [*pop, *setup], centers on the plane exactly on it."""
+        return self.mirror.snapped(setups) if self.representation.dims == 2 else setups
+
     def off_plane(self, setups: Tensor) -> Iterator[tuple[Tensor, Tensor]]:
         """The setups [p, m, d] that have centers off the plane, in groups of equally many: rows [q], centers [q, f, d].
 
-        The f centers keep their order.
+        The f centers keep their order. Setups that are no centers come whole, where they have columns across the plane.
         """
+        if self.representation.dims != 2:
+            if self.across.representation.columns(setups):
+                yield torch.arange(len(setups), device=setups.device), setups
+            return
         off = ~self.mirror.on_plane(setups)
         for count in off.sum(1).unique().tolist():
             if count:
@@ -165,18 +182,19 @@ class MirroredSpectrum(Spectrum):
     def __init__(self, evaluator: MirroredEvaluator, centers: Tensor) -> None:
         """Take centers [p, m, d]; any values."""
         finite = torch.isfinite(centers).flatten(1).all(1)
-        snapped = evaluator.mirror.snapped(torch.where(finite[:, None, None], centers.detach(), 0.0))
+        kept = finite.view(-1, *(1,) * (centers.ndim - 1))
+        snapped = evaluator.snapped(torch.where(kept, centers.detach(), 0.0))
         self.evaluator, self.centers = evaluator, snapped
-        self._off = ~evaluator.mirror.on_plane(snapped)
-        self._along = along = Spectrum(evaluator.along, torch.where(finite[:, None, None], snapped, torch.nan))
+        self._off = ~evaluator.mirror.on_plane(snapped) if evaluator.representation.dims == 2 else None
+        self._along = along = Spectrum(evaluator.along, torch.where(kept, snapped, torch.nan))
         self._groups: list[tuple[Tensor, Spectrum]] = []
         self.regular, self.improvable = along.regular.clone(), along.improvable.clone()
         self.potentials = along.potentials.clone()
         across = torch.zeros_like(along.sigma)
         for rows, free in evaluator.off_plane(snapped):
-            part = Spectrum(evaluator.across, torch.where(finite[rows, None, None], free, torch.nan))
+            part = Spectrum(evaluator.across, torch.where(kept[rows], free, torch.nan))
             self._groups.append((rows, part))
-            across[rows, : free.shape[1]] = part.sigma
+            across[rows, : part.sigma.shape[1]] = part.sigma
             self.regular[rows] &= part.regular
             self.improvable[rows] &= part.improvable
             self.potentials[rows] += part.potentials
@@ -198,7 +216,7 @@ class MirroredSpectrum(Spectrum):
     @coarse()
     def backward(self, dlog_sigma: Tensor, dpotential: Tensor) -> Tensor:
         """Gradient [p, m, d] in the centers of a function with gradients [p, 2m] in log sigma, and in P as there."""
-        m = self.centers.shape[1]
+        m = self._along.sigma.shape[1]
         self.evaluator.gradients += len(self.centers)
         dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
         if dpotential.ndim == 1:  # which of the objectives is the active one is decided by both blocks together
@@ -206,8 +224,11 @@ class MirroredSpectrum(Spectrum):
         dpotential = torch.where(self.improvable[:, None], dpotential, 0.0)
         gradient = self._along.backward(dlog_sigma[:, :m], dpotential)
         for rows, part in self._groups:
-            free = part.centers.shape[1]
+            free = part.sigma.shape[1]
             found = part.backward(dlog_sigma[rows, m : m + free], dpotential[rows])
+            if self._off is None:
+                gradient[rows] += found
+                continue
             here = gradient[rows]
             here[self._off[rows]] += found.flatten(0, 1)
             gradient[rows] = here

@@ -173,6 +173,7 @@ def _run(
         "support": summary.get("support"),
         "scale": getattr(known.kernel, "scale", None) if known is not None else None,
         "manipulation": summary.get("manipulation"),
+        "representation": "rbf" if known is None else known.representation.name,
         "mirror": None if mirror is None else {"axis": mirror.axis, "at": mirror.at},
         "known": known is not None and formula is not None,
         "formula": formula,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import abc
 import dataclasses
 import importlib
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import Mirror
@@ -77,6 +77,7 @@ class Representation(abc.ABC):
         manipulations: those that it offers.
         shape: of one setup, or None where any number of centers will do.
         fails_where: why a setup of finite numbers has no scores.
+        block: vertices at a time on the CPU, where there are no fused kernels.
     """
 
     name: str = ""
@@ -84,6 +85,7 @@ class Representation(abc.ABC):
     manipulations: tuple[str, ...] = ("indirect",)
     shape: tuple[int, ...] | None = None
     fails_where: str = "its columns are not finite"
+    block: int = 1024
 
     @abc.abstractmethod
     def phi(self, points: Any, setups: Any) -> Any:
@@ -96,6 +98,34 @@ class Representation(abc.ABC):
     @abc.abstractmethod
     def spec(self) -> dict[str, Any]:
         """Plain numbers and text: `target` is the class, the others are what its `of_spec` takes; not `name`."""
+
+    @property
+    def narrows(self) -> bool:
+        """Whether W may have a rank below the columns of Phi, so that P and V depend on the manipulation."""
+        return False
+
+    def for_run(self, scenario: Scenario, manipulation: str) -> Representation:
+        """The representation of a run, with what it takes from its scenario and manipulation."""
+        return self
+
+    def parameters(self, setups: Any) -> int:
+        """m, the columns of U: those of Phi, unless a manipulation has fewer."""
+        return self.columns(setups)
+
+    def notes(self) -> dict[str, str]:
+        """Facts for the log of a run and its summary, by title."""
+        return {}
+
+    def doubts(self, scenario: Scenario) -> list[str]:
+        """A line for each reason to doubt results on a scenario."""
+        return []
+
+    def jumps(self, points: Any, setups: Any) -> Any | None:
+        """Labels [*pop, q] of points: between different ones displacements of a setup jump; None for none."""
+        return None
+
+    def refuse_search(self, method: str) -> None:  # noqa: B027 - most can be searched
+        """Raise UserError if a method cannot search the setups of this run."""
 
     @classmethod
     def of_spec(cls, **numbers: Any) -> Representation:
@@ -119,6 +149,18 @@ class Representation(abc.ABC):
         """Where the control points [*pop, h, d] sit, for pictures and export; None where there are none."""
         return None
 
+    def weights(self, setups: Any) -> Any | None:
+        """W [*pop, r, m] of the run's manipulation, where parameters are displacements of the handles; None: identity.
+
+        Raises:
+            UserError: if the control points cannot be moved one by one.
+        """
+        raise UserError(f"the control points of representation={self.name} cannot be moved one by one")
+
+    def places(self, setups: Any) -> Any | None:
+        """Where the control points [*pop, r, d] of the columns of Phi sit, or None."""
+        return None
+
     def reduce(self, setups: Tensor, factor: Tensor, manipulation: str) -> Reduced:
         """W of setups [p, *setup] under a manipulation, applied to the lower triangular factor T [p, r, r] of Phi."""
         import torch
@@ -133,12 +175,40 @@ class Representation(abc.ABC):
         """Gradient [p, *setup] of a function whose gradient in Phi^T is [p, r, q]; None without a closed form."""
         return None
 
+    def pull_weights(self, setups: Tensor, gradient: Tensor) -> Tensor | None:
+        """Gradient [p, *setup] of a function whose gradient in W is [p, r, m], where `narrows`; None without."""
+        return None
+
     def pull_reduction(self, setups: Tensor, through: Pull) -> Tensor | None:
         """Gradient [p, *setup] of what reaches sigma through W; None without a closed form."""
         return None
 
     def symmetric(self, mirror: Mirror) -> tuple[Representation, Representation] | None:
         """The columns for components along a plane of symmetry and for the one across it, or None."""
+        return None
+
+    def given(self, files: Sequence[str], scenario: Scenario) -> Tensor | None:
+        """Setups [p, *setup] of files that somebody has made; None where files hold centers.
+
+        Raises:
+            UserError: if a file cannot be used.
+        """
+        return None
+
+    def candidates(self) -> Tensor | None:
+        """The places [c, d] that heuristics pick centers from; None for a grid over the box."""
+        return None
+
+    def refuse_places(self, method: str) -> NoReturn:
+        """Raise UserError: why a heuristic cannot place centers one by one.
+
+        Raises:
+            UserError: always.
+        """
+        raise UserError(f"method={method} places centers one by one, and representation={self.name} has none")
+
+    def off_plane(self) -> Tensor | None:
+        """Which columns along a plane of symmetry [m] have one across it; None where setups are centers, by place."""
         return None
 
     def assemble(self, centers: Tensor) -> Tensor | None:
@@ -153,6 +223,12 @@ class Representation(abc.ABC):
     def atoms(self, points: Tensor) -> Callable[[Tensor], Tensor] | None:
         """The map from candidate centers [c, d] to their columns [n, c], for heuristics that place them; or None."""
         return None
+
+
+def with_own_columns(make: Any) -> Any:
+    """Mark a function of a yaml whose settings say how many columns there are; without `centers=` it gets 0."""
+    vars(make)["brings"] = True
+    return make
 
 
 def representation_of(spec: dict[str, Any]) -> Representation:

@@ -38,8 +38,10 @@ const eachOf = (setup, of = short) => setup.each.map((value, j) => `${setup.run.
 
 /** What R means: the ratio of the strongest to the weakest direction of the parameters. */
 function regularityText(setup) {
+  const lattice = setup.run.representation === "ffd", direct = setup.run.manipulation === "direct";
+  if (!(setup.R > 0) && lattice) return `R = 0: some combination of the ${direct ? "points on the surface" : "control points"} does not change the design. ${direct ? "One of them may lie outside the box." : "A control point may have no vertex in reach, or the design is a quadric or a flat patch, on which a lattice of a higher degree depends on itself."} Choose another setup, a lower degree, or fewer of them.`;
   if (!(setup.R > 0)) return "R = 0: some combination of the parameters does not change the design, or (direct manipulation) the control points cannot be moved one by one. A center may have no vertex within reach, or two may coincide. Choose another setup.";
-  const parameters = setup.run.manipulation === "direct" ? "displacements of the control points" : "RBF weights";
+  const parameters = lattice && direct ? "displacements of points on the surface" : lattice || direct ? "displacements of the control points" : "RBF weights";
   return `The same step in the parameters (${parameters}) changes the design up to ${short(1 / setup.R, 3)} times as much in one direction as in another. ` +
     "The nearer to 1, the fewer steps an evolution strategy or a gradient descent needs with one step size for all. If your optimizer works on an orthonormal basis of the same deformations, R does not matter.";
 }
@@ -61,6 +63,7 @@ function potentialText(setup, mesh) {
 function variabilityText(setup) {
   if (Number.isNaN(setup.V)) return null;
   const rank = Math.round(setup.V * setup.run.n), sides = setup.run.mirror ? " (both sides of the symmetry plane together)" : "";
+  if (setup.run.representation === "ffd" && setup.run.manipulation === "direct") return `${rank} independent ways to deform ${setup.run.n.toLocaleString("en")} vertices${sides}. Points on the surface reach less than all control points of the lattice do: V and P depend on the manipulation.`;
   return `${rank} independent ways to deform ${setup.run.n.toLocaleString("en")} vertices${sides}` + (rank < setup.run.m ? `: fewer than the ${setup.run.m} control points, so some of them have no effect of their own.` : ": with more of them, the later optimization needs more evaluations.");
 }
 
