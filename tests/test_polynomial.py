@@ -319,7 +319,8 @@ def test_an_export_deforms_as_its_own_files_say(name, runs, tmp_path, capsys):
         words = [str(runs / name), "--pick", "knee", f"--{what}", str(out / file), "--quiet"]
         words += ["--mesh", str(out / "template.vtp"), "--out", str(out / f"{what}.vtp")]
         assert apply.main(words) == 0
-        before, after = pv.read(out / "template.vtp"), pv.read(out / f"{what}.vtp")
+        before: Any = pv.read(out / "template.vtp")
+        after: Any = pv.read(out / f"{what}.vtp")
         reached[what] = np.asarray(after.points) - np.asarray(before.points)
         np.testing.assert_allclose(reached[what], before["reached"], atol=1e-7)
     places = table(out / "centers.csv")[1]

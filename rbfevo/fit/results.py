@@ -31,7 +31,7 @@ def write_fit(directory: Path, source: Source, centers: Tensor, fit: Fit, summar
         UserError: if the directory cannot be made or written to.
     """
     scenario = source.scenario
-    found = deformation(scenario, source.representation, centers, summary["manipulation"])
+    found = deformation(scenario, source.kernel, centers, summary["manipulation"])
     displacement = found.U @ fit.parameters
     weights = found.weights(fit.parameters)
     deformed = moved(scenario.vertices, displacement)
@@ -64,7 +64,9 @@ def _handles(source: Source, setup: Tensor, weights: Tensor, on_surface: bool) -
     if not isinstance(representation, RBF) and not on_surface:
         places = representation.places(setup)
         return (setup.new_zeros(0, 3), weights[:0]) if places is None else (places, weights)
-    handles = representation.handles(setup)
+    handles = setup if isinstance(representation, RBF) else representation.handles(setup)
+    if handles is None:
+        return setup.new_zeros(0, 3), weights[:0]
     columns = representation.phi(handles, setup)
     blend = 1.0 if hold is None else torch.from_numpy(hold(handles.numpy()))[:, None]
     return handles, blend * (columns @ weights)
