@@ -181,6 +181,27 @@ def test_direct_manipulation_reaches_less_and_moves_the_points_one_by_one() -> N
     assert float(scores["direct"].improvement_potential[0]) == pytest.approx(P, abs=1e-8)
 
 
+def test_as_many_points_as_control_points_are_scored_by_the_pseudoinverse() -> None:
+    """Points in few lines make B(S) singular; then U reaches less than B(X), though it has as many columns."""
+    scenario = plane((23, 31))
+    made = ffd(scenario, KERNEL, 0, [5, 4]).for_run(scenario, "direct")
+    assert made.surface is not None
+    assert made.surface.shape == (20, 2)
+    evaluate, space = Evaluator(scenario.vertices, scenario.gradient, made, "direct"), made.space(scenario, 0)
+    setups = space.place(space.sample(4, torch.Generator().manual_seed(1)))
+    whole = ffd(scenario, KERNEL, 0, [5, 4]).for_run(scenario, "indirect")
+    every = Evaluator(scenario.vertices, scenario.gradient, whole)(setups)
+    for scores in (evaluate(setups), evaluate.definition(setups)):
+        for row, genotype in enumerate(setups.numpy()):
+            S = whole.phi(made.surface, genotype)
+            U = whole.phi(scenario.vertices.numpy(), genotype) @ np.linalg.pinv(S, rcond=max(S.shape) * EPS)
+            R, P = rescored(U, scenario.gradient.numpy())
+            assert float(scores.regularity[row]) == pytest.approx(R, rel=1e-6, abs=1e-12)
+            assert float(scores.improvement_potential[row]) == pytest.approx(P, abs=1e-8)
+        assert (scores.variability < every.variability).any()
+        assert (scores.improvement_potential < every.improvement_potential - 1e-3).any()
+
+
 def test_a_point_that_the_box_leaves_out_cannot_be_moved() -> None:
     scenario = plane((21, 21))
     made = ffd(scenario, KERNEL, 4, [3, 3]).for_run(scenario, "direct")
