@@ -63,7 +63,8 @@ def _handles(source: Source, setup: Tensor, weights: Tensor, on_surface: bool) -
     if isinstance(kernel, Representation) and not on_surface:
         places = kernel.places(setup)
         return (setup.new_zeros(0, 3), weights[:0]) if places is None else (places, weights)
-    handles = kernel.handles(setup) if isinstance(kernel, Representation) else setup
+    found = kernel.handles(setup) if isinstance(kernel, Representation) else setup
+    handles = setup.new_zeros(0, 3) if found is None else found
     columns = kernel.phi(handles, setup) if isinstance(kernel, Representation) else RBF(kernel).psi(setup)
     blend = 1.0 if hold is None else torch.from_numpy(hold(handles.numpy()))[:, None]
     return handles, blend * (columns @ weights)

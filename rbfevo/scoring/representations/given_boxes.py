@@ -129,8 +129,9 @@ def _on_scenario(genotype: Array, representation: FFD, scenario: Scenario) -> Ar
         UserError: if the box is not symmetric where it should be, or holds no vertex.
     """
     lattice, mirror = representation.lattice, scenario.mirror
-    if genotype.shape != representation.shape:
-        raise UserError(f"its setup has {genotype.size} numbers, and one of the run {representation.shape[0]}")
+    size = lattice.size + (representation.picked or 0)
+    if genotype.shape != (size,):
+        raise UserError(f"its setup has {genotype.size} numbers, and one of the run {size}")
     if mirror is not None:
         axis = mirror.axis
         away = abs(genotype[axis] - mirror.at)
