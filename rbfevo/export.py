@@ -29,9 +29,11 @@ from rbfevo.scoring.representations.linear import LinearRBF
 
 FILES = (
     *("centers.csv", "centers.vtp", "template.vtp", "setup.npz"),
-    *("displacements.csv", "weights.csv", "coefficients.csv", "morph.csv", "parameters.prm"),
+    *("displacements.csv", "weights.csv", "parameters.prm"),
 )
+LINEAR = ("coefficients.csv", "morph.csv")  # of RBFs with a linear polynomial, in the place of weights.csv
 LATTICE = ("lattice.xyz", "su2.cfg", "lattice.vts")  # of free-form deformation, beside these
+EVERY = (*FILES, *LINEAR, *LATTICE)
 STEP = 0.05  # of the diagonal of the template's bounding box
 DESCRIPTION = """Write one setup of a run (control points and what they can do) for other programs.
 
@@ -107,7 +109,7 @@ def carry_out(options: argparse.Namespace) -> None:
             "displacement in space"
         )
     out = options.out or options.run / f"export-{options.pick.strip().replace(':', '-')}"
-    refuse_held(out, (*FILES, *LATTICE), "--out")
+    refuse_held(out, EVERY, "--out")
     chosen = setup(record, row)
     for option, names in (("--objective", [options.objective or ""]), ("--keep", options.keep)):
         for name in filter(None, names):
@@ -295,7 +297,7 @@ def closing(
         *_limits(record, move),
         *_changes(options, record, move),
         *_fixed(record, move),
-        f"files: {out}: {', '.join(name for name in (*FILES, *LATTICE) if name in written or (out / name).is_file())}",
+        f"files: {out}: {', '.join(name for name in EVERY if name in written or (out / name).is_file())}",
     ]
     lines += chosen.doubts(record)
     if "parameters.prm" in written and chosen.kernel is not None:

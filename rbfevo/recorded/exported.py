@@ -42,7 +42,7 @@ def read_export(path: Path) -> tuple[Record, dict[bool, Array]]:
     if missing:
         raise UserError(f"{path} is no setup.npz of rbfevo.export: it lacks {', '.join(missing)}")
     known = "kernel_spec" in arrays or arrays["kernel"].item() in ("wendland", "triharmonic")
-    if not known and "representation_spec" not in arrays:
+    if "representation_spec" not in arrays and ("genotype" in arrays or not known):
         raise UserError(
             f"{path}: its representation, {arrays['kernel'].item()}, cannot be rebuilt from an export; give the run "
             "directory and a pick instead"

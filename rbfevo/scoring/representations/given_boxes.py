@@ -129,7 +129,7 @@ def _on_scenario(genotype: Array, representation: FFD, scenario: Scenario) -> Ar
         UserError: if the box is not symmetric where it should be, or holds no vertex.
     """
     lattice, mirror = representation.lattice, scenario.mirror
-    (size,) = representation.shape or (0,)
+    size = lattice.size + (representation.picked or 0)
     if genotype.shape != (size,):
         raise UserError(f"its setup has {genotype.size} numbers, and one of the run {size}")
     if mirror is not None:
