@@ -20,14 +20,11 @@ import numpy as np
 
 from benchmarks.choosing import ROOT, write
 from benchmarks.elsewhere.cases import CASES, Case
-from benchmarks.elsewhere.setups import BOUNDED, CELLS, SEARCH, grid, placed
+from benchmarks.elsewhere.setups import CELLS, SEARCH, grid, placed, scores
 from rbfevo.__main__ import main as rbfevo
-from rbfevo.arrays import Array
-from rbfevo.recorded.parameters import design_matrix
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
-from rbfevo.recorded.setup import EPS, Setup, setup
-from rbfevo.scoring.maxnorm import Block, best_displacement, dual_norm
+from rbfevo.recorded.setup import Setup, setup
 
 RUNS, TABLE, PAGE = ROOT / "outputs" / "deformers", ROOT / "docs" / "deformers.csv", ROOT / "docs" / "choosing.md"
 NAMES = ("car", "face", "winged", "lumpy")
@@ -97,31 +94,8 @@ def lines_of(case: Case) -> Iterator[dict[str, Any]]:
 
 def measured(record: Record, chosen: Setup) -> dict[str, Any]:
     """Columns, R, P and P_16 of a setup for the (smoothed) gradient of its run, by the definition."""
-    blocks, singular, left = [], [], 0.0
-    root, full = np.sqrt(record.weights)[:, None], True
-    for components, across, columns in chosen.parities(record.gradient.shape[1]):
-        if not len(columns):
-            continue
-        U = chosen.blended(record.vertices, across)[:, columns]
-        basis, values, _ = np.linalg.svd(root * U, full_matrices=False)
-        kept = values > max(U.shape) * EPS * values.max(initial=0.0)
-        blocks.append(Block(components, np.linalg.qr(basis[:, kept] / root)[0]))
-        full = full and bool(kept.all())
-        wanted = root * record.gradient[:, components]
-        left += float(np.square(wanted - basis[:, kept] @ (basis[:, kept].T @ wanted)).sum())
-        singular.append(np.linalg.svd(root * _own(chosen, record.vertices, across, columns), compute_uv=False))
-    every = np.concatenate(singular)
-    a = record.weights[:, None] * record.gradient
-    gain = best_displacement(blocks, a, record.weights, BOUNDED).gain / dual_norm(a, record.weights, BOUNDED)
-    regularity = float(every.min() / every.max()) if full else 0.0
-    return {"columns": chosen.count, "R": regularity, "P": 1.0 - left, "P16": gain**2}
-
-
-def _own(chosen: Setup, vertices: Array, across: bool, columns: Array) -> Array:
-    """U under the run's manipulation, or the columns themselves where centers cannot be moved one by one."""
-    if chosen.manipulation == "direct" and not chosen.singular(across):
-        return design_matrix(chosen, vertices, across)
-    return chosen.blended(vertices, across)[:, columns]
+    found = scores(chosen, record, {"run": record.gradient})
+    return {"columns": chosen.count, "R": found["R"], "P": found["P_run"], "P16": found["P16_run"]}
 
 
 def page(lines: list[dict[str, str]]) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 from benchmarks.elsewhere.cases import Case
 from rbfevo.__main__ import main as rbfevo
 from rbfevo.arrays import Array
+from rbfevo.recorded.parameters import design_matrix
 from rbfevo.recorded.picks import pick
 from rbfevo.recorded.record import Record, read
 from rbfevo.recorded.setup import EPS, Setup, setup
@@ -132,10 +133,10 @@ def scores(chosen: Setup, record: Record, fields: dict[str, Array]) -> dict[str,
         kept = values > max(U.shape) * EPS * values.max(initial=0.0)
         blocks.append(Block(components, left[:, kept]))
         whole += int(kept.sum()) - len(columns)
-        psi = chosen.psi(across)
-        direct = U if chosen.singular(across) else np.linalg.solve(psi.T, U.T).T
-        singular.append(np.linalg.svd(np.sqrt(record.weights)[:, None] * direct, compute_uv=False))
-        whole -= int(chosen.singular(across))
+        if chosen.manipulation == "direct":
+            whole -= int(chosen.singular(across))
+            U = U if chosen.singular(across) else design_matrix(chosen, record.vertices, across)
+        singular.append(np.linalg.svd(np.sqrt(record.weights)[:, None] * U, compute_uv=False))
     values = np.concatenate(singular)
     found = {"R": 0.0 if whole < 0 else float(values.min() / values.max())}
     for name, g in fields.items():

@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks.solver.report import Descent, of
 
-COLORS = {"advised": "#d3148f", "Lloyd": "#0b4fa8", "grid": "#57b55a"}
+COLORS = {"advised": "#d3148f", "Lloyd": "#0b4fa8", "grid": "#57b55a", "FFD": "#e08214"}
 
 
 def draw(found: Sequence[Descent], out: Path) -> None:

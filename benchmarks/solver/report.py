@@ -22,7 +22,7 @@ class Descent(NamedTuple):
     """One descent: J of the design that was there, and the best J after 1, 2, ... more adjoint solutions.
 
     Attributes:
-        setup: `advised`, `Lloyd 0` or the shape of a grid; size: `few` or `many`; radius: model units.
+        setup: `advised`, `Lloyd 0`, `FFD 4x2x2` or the shape of a grid; size: `few` or `many`; radius: model units, or 0.
         worst: the largest non-orthogonality, degrees, and skewness of the volume meshes that were solved.
     """
 
@@ -38,8 +38,9 @@ class Descent(NamedTuple):
 
     @property
     def family(self) -> str:
-        """`advised`, `Lloyd` or `grid`."""
-        return "Lloyd" if self.setup.startswith("Lloyd") else self.setup if self.setup == "advised" else "grid"
+        """`advised`, `Lloyd`, `FFD` or `grid`."""
+        first = self.setup.partition(" ")[0]
+        return first if first in ("advised", "Lloyd", "FFD") else "grid"
 
     def reduction(self, after: int = 10) -> float:
         """By how many percent the best J lies below the first one after some adjoint solutions."""
@@ -88,7 +89,9 @@ def table(found: Sequence[Descent], case: str) -> str:
         shown = "more than 10" if math.isinf(needed) else f"{needed:.0f}"
         after = [f"{one.reduction(n):.2f}" for n in (1, 3, 10)]
         quality = [f"{one.worst[0]:.1f}", f"{one.worst[1]:.2f}"]
-        rows.append([one.setup, str(one.centers), f"{one.radius:g}", one.rule, *after, shown, *quality])
+        rows.append(
+            [one.setup, str(one.centers), f"{one.radius:g}" if one.radius else "", one.rule, *after, shown, *quality]
+        )
     head = ("setup", "centers", "radius", "rule", "after 1", "after 3", "after 10 [%]", "solutions to 90 %")
     return markdown((*head, "worst non-orthogonality", "worst skewness"), rows)
 
