@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import itertools
 import sys
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -125,8 +124,7 @@ def read_table() -> list[dict[str, str]]:
         return []
     with TABLE.open(encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
-    places = {key: place for place, key in enumerate(itertools.product(NAMES, map(str, COUNTS)))}
-    return sorted(lines, key=lambda line: places[line["case"], line["asked"]])
+    return sorted(lines, key=lambda line: (NAMES.index(line["case"]), int(line["asked"])))
 
 
 def main() -> int:

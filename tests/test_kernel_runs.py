@@ -23,7 +23,7 @@ from rbfevo.recorded.setup import setup
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-S = 0.8
+S = 0.825
 FORMULAS = {
     "wendland_c0": lambda q: np.clip(1 - q, 0, None) ** 2,
     "wendland_c4": lambda q: np.clip(1 - q, 0, None) ** 6 * (35 * q**2 + 18 * q + 3) / 3,
@@ -56,7 +56,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", FORMULAS)
 def test_scores_are_those_of_the_formula(name: str, runs: Path) -> None:
     record = read(runs / name)
-    assert f"{name} kernel, {'support radius' if name in COMPACT else 'scale'} 0.8" in record.title
+    assert f"{name} kernel, {'support radius' if name in COMPACT else 'scale'} 0.825" in record.title
     for row in record.front[[0, -1]].tolist():
         chosen = setup(record, row)
         C, off = chosen.centers, chosen.centers[chosen.off_plane]

@@ -22,7 +22,8 @@ class Descent(NamedTuple):
     """One descent: J of the design that was there, and the best J after 1, 2, ... more adjoint solutions.
 
     Attributes:
-        setup: `advised`, `Lloyd 0`, `FFD 4x2x2` or the shape of a grid; size: `few` or `many`; radius: model units, or 0.
+        setup: `advised`, `Lloyd 0`, `FFD 4x2x2` or the shape of a grid; size: `few` or `many`.
+        radius: model units, 0 of FFD.
         worst: the largest non-orthogonality, degrees, and skewness of the volume meshes that were solved.
     """
 
