@@ -19,7 +19,7 @@ from benchmarks.solver.descent import descend
 from benchmarks.solver.elastic import Elastic
 from benchmarks.solver.flow import Flow
 from benchmarks.solver.picture import draw
-from benchmarks.solver.plan import PLANS, Chosen, known, setups
+from benchmarks.solver.plan import PLANS, Chosen, boxes, known, setups
 from benchmarks.solver.report import descents, largest, of
 from benchmarks.solver.report import write as write_page
 from benchmarks.solver.strategies import SEEDS, searched
@@ -35,10 +35,10 @@ def rules(chosen: Chosen, first: float) -> tuple[str, ...]:
     return ("max-norm", "steepest") if chosen.family in STEEPEST and chosen.radius == first else ("max-norm",)
 
 
-def carry_out(name: str, only: str | None) -> None:
+def carry_out(name: str, only: str | None, lattices: bool) -> None:
     """The descents of a case that are not there yet, a file each."""
     plan, case, before = PLANS[name], case_of(name), read_table(TABLE)
-    for chosen in setups(case.settings, plan, RUNS / name / "runs"):
+    for chosen in (boxes if lattices else setups)(case.settings, plan, RUNS / name / "runs"):
         if only is not None and chosen.size != only:
             continue
         for rule in rules(chosen, plan.radii[0]):
@@ -141,14 +141,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("case", nargs="*", choices=[[], *PLANS], help="only these cases")
     parser.add_argument("--size", choices=("few", "many"), help="only setups of this size")
+    parser.add_argument("--ffd", action="store_true", help="only lattices of free-form deformation")
     parser.add_argument("--strategies", action="store_true", help="the evolution strategy on the bracket")
     parser.add_argument("--page", action="store_true", help="only write the tables on disk into docs/solver.md")
     options = parser.parse_args()
     if not options.page:
         RUNS.mkdir(parents=True, exist_ok=True)
         for name in options.case or PLANS:
-            carry_out(name, options.size)
-            carry_out_known(name)
+            carry_out(name, options.size, options.ffd)
+            if not options.ffd:
+                carry_out_known(name)
         if options.strategies:
             carry_out_strategies()
         for path, files in ((TABLE, "*.csv"), (KNOWN, "known/*.csv"), (STRATEGIES, "strategies/*.csv")):

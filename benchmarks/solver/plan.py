@@ -18,7 +18,7 @@ from rbfevo.recorded.setup import Setup, setup
 
 SEEDS = (0, 1, 2)
 LATTICES = ((3, 2, 2), (4, 2, 2))  # of free-form deformation, in the box of the design; columns of one half
-MARGIN = 0.01  # of the sides of that box
+MARGIN = 0.02  # of half the longest side of that box
 GRIDS = {"few": ((2, 2, 1), (3, 2, 1)), "many": ((3, 2, 2), (4, 2, 2))}
 
 
@@ -75,35 +75,27 @@ def setups(settings: tuple[str, ...], plan: Plan, runs: Path) -> Iterator[Chosen
                 yield Chosen(f"Lloyd {seed}", size, radius, lloyd, setup(lloyd, 0))
             for shape in GRIDS[size]:
                 yield Chosen("x".join(map(str, shape)), size, radius, *placed(record, grid(record, shape)))
+    yield from boxes(settings, plan, runs)
+
+
+def boxes(settings: tuple[str, ...], plan: Plan, runs: Path) -> Iterator[Chosen]:
+    """Lattices of free-form deformation in the box of the design surface, symmetric where the design is."""
+    common = (*settings, f"scenario.smooth={plan.smooth!r}", "method=random", "method.population=1")
+    plane = run(runs / "random", *common).summary.get("symmetry")
     for shape in LATTICES:
-        yield Chosen(f"FFD {'x'.join(map(str, shape))}", "many", 0.0, *_boxed(settings, plan, shape, runs))
-
-
-def _boxed(settings: tuple[str, ...], plan: Plan, shape: tuple[int, int, int], runs: Path) -> tuple[Record, Setup]:
-    """A lattice of free-form deformation in the box of the design surface, and the record that it belongs to."""
-    common = (
-        *settings,
-        f"scenario.smooth={plan.smooth!r}",
-        "representation=ffd",
-        "method=random",
-        "method.population=1",
-    )
-    advised = read(runs / f"advised-many-{plan.radii[0]:g}")
-    symmetric = advised.summary.get("symmetry")
-    counts = list(shape)
-    if isinstance(symmetric, dict):
-        counts["xyz".index(symmetric["axis"])] *= 2
-    lattice = f"representation.lattice=[{','.join(map(str, counts))}]"
-    out = runs / f"ffd-{'x'.join(map(str, shape))}"
-    record = run(out, *common, lattice, manipulation="indirect")
-    lower, upper = record.vertices.min(0), record.vertices.max(0)
-    half = 0.5 * (upper - lower)
-    box = np.concatenate([0.5 * (lower + upper), half + MARGIN * 2.0 * half.clip(MARGIN * half.max())])
-    if isinstance(symmetric, dict):
-        box["xyz".index(symmetric["axis"])] = symmetric["at"]
-    made = dataclasses.replace(record, genotype=box[None], centers=record.centers[:1])
-    chosen = setup(made, 0)
-    return dataclasses.replace(made, centers=chosen.weight_places[None]), chosen
+        counts, name = list(shape), "x".join(map(str, shape))
+        if isinstance(plane, dict):
+            counts["xyz".index(plane["axis"])] *= 2
+        lattice = ("representation=ffd", f"representation.lattice=[{','.join(map(str, counts))}]")
+        record = run(runs / f"ffd-{name}", *common, *lattice, manipulation="indirect")
+        lower, upper = record.vertices.min(0), record.vertices.max(0)
+        half = 0.5 * (upper - lower)
+        box = np.concatenate([0.5 * (lower + upper), half + MARGIN * half.max()])
+        if isinstance(plane, dict):
+            box["xyz".index(plane["axis"])] = plane["at"]
+        made = dataclasses.replace(record, genotype=box[None], centers=record.centers[:1])
+        chosen = setup(made, 0)
+        yield Chosen(f"FFD {name}", "many", 0.0, dataclasses.replace(made, centers=chosen.weight_places[None]), chosen)
 
 
 def run(out: Path, *overrides: str, manipulation: str = "direct") -> Record:
