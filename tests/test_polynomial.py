@@ -90,6 +90,18 @@ def test_columns_are_those_of_the_saddle_point_system(case):
     np.testing.assert_allclose(together[2].numpy(), representation.phi(X, centers[2].numpy()), atol=1e-13)
 
 
+@pytest.mark.parametrize("case", CASES)
+def test_coefficients_are_those_of_kernels_and_of_the_polynomial(case):
+    design, representation, centers = made(case)
+    X, C = design.vertices.numpy(), centers[0].numpy()
+    w = np.random.default_rng(1).normal(size=(M, 3))
+    kernel, polynomial = representation.coefficients(C, w)
+    ones = np.ones((len(X), 1))
+    u = representation.kernel(cdist(X, C)) @ kernel + np.hstack([ones, X]) @ polynomial
+    np.testing.assert_allclose(u, representation.phi(X, C) @ w, atol=1e-11)
+    np.testing.assert_allclose(np.hstack([ones[:M], C]).T @ kernel, 0.0, atol=1e-11)
+
+
 @pytest.mark.parametrize("name", SCIPY)
 def test_direct_is_scipys_interpolator(name):
     design, kernel, linear, epsilon = SCIPY[name]
