@@ -15,7 +15,7 @@ from test_contracts import settings
 from test_mesh_runs import egg
 
 from rbfevo.__main__ import main
-from rbfevo.methods.blend import BlendHeuristic, Starts, between
+from rbfevo.methods.blend import BlendHeuristic, Starts, between, spread
 from rbfevo.methods.candidates import grid_candidates
 from rbfevo.methods.lloyd import towards_centroids
 from rbfevo.methods.method import Problem
@@ -93,16 +93,17 @@ def test_columns_that_are_there_already_count(picks):
 
 
 def test_centers_go_a_share_of_their_way_to_the_middles_of_their_cells():
-    design = sphere(2, weighted=True)
-    centers = design.centers(2, 5)
-    kept = design.centers(2, seed=9)
-    found = towards_centroids(design.vertices, design.weights, centers, torch.tensor([0.25, 1.0]).double(), kept)
+    design, away = sphere(2, weighted=True), torch.tensor([3.0, -1.0, 2.0], dtype=torch.float64)
+    vertices = design.vertices + away
+    centers = design.centers(2, 5) + away
+    kept = design.centers(2, seed=9) + away
+    found = towards_centroids(vertices, design.weights, centers, torch.tensor([0.25, 1.0]).double(), kept)
     for own, share, moved in zip(centers.numpy(), (0.25, 1.0), found.numpy(), strict=True):
         every = np.vstack([own, kept.numpy()])
-        nearest = np.linalg.norm(design.vertices.numpy()[:, None] - every, axis=2).argmin(1)
+        nearest = np.linalg.norm(vertices.numpy()[:, None] - every, axis=2).argmin(1)
         for j in range(5):
             cell = nearest == j
-            middle = np.average(design.vertices.numpy()[cell], axis=0, weights=design.weights.numpy()[cell])
+            middle = np.average(vertices.numpy()[cell], axis=0, weights=design.weights.numpy()[cell])
             np.testing.assert_allclose(moved[j], own[j] + share * (middle - own[j]), atol=1e-12)
 
 
@@ -120,6 +121,15 @@ def test_setups_between_two_take_the_shortest_way():
     partner = there[list(orders[int(np.argmin(costs))])]
     for share, setup in zip(WISHES.tolist(), found.numpy(), strict=True):
         np.testing.assert_allclose(setup, (1 - share) * here + share * partner, atol=1e-12)
+
+
+def test_picks_are_made_beside_centers_that_stay(tmp_path):
+    alone = spread(problem_of(), WISHES)[0]  # without a penalty
+    (tmp_path / "kept.csv").write_text("x,y\n" + ",".join(map(repr, alone[0].tolist())) + "\n")
+    problem = problem_of(keep=str(tmp_path / "kept.csv"))
+    found = spread(problem, WISHES)[0]
+    torch.testing.assert_close(found[0], alone[0], rtol=0.0, atol=0.0)
+    assert float((found[1:] - alone[0]).norm(dim=1).min()) > 1e-3  # it is not picked once more
 
 
 def test_preferences_weigh_the_ranges_of_both_alike():

@@ -164,7 +164,7 @@ def test_pygem_deforms_as_apply_does(kind: str, runs: Path, tmp_path: Path) -> N
     turned = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     frame = turned * sides  # psi^-1 is origin + frame u
     u = np.linalg.solve(frame, (record.vertices - origin).T).T
-    inside = ((u > -1e-12) & (u < 1.0 + 1e-12)).all(axis=1)
+    inside: Any = ((u > -1e-12) & (u < 1.0 + 1e-12)).all(axis=1)
     B = pygem(u, np.zeros(3), np.ones(3), counts)
     moved = np.where(inside[:, None], (B @ mu.reshape(-1, 3)) @ frame.T, 0.0)
     np.testing.assert_allclose(moved, applied(runs, kind, "weights", tmp_path / "a.vtp"), atol=1e-9)
@@ -333,7 +333,8 @@ def test_what_depends_on_each_other_and_what_reaches_less_is_told(
         assert (f"rank {ranks[row]} of 36 columns, so that R = 0" in out) == (ranks[row] < 36)
         assert (f"{idle[row]} control points move no vertex" in out) == (idle[row] > 0)
         assert "left out: lattice.xyz: it is for boxes in space" in out
-        inside = (np.abs(record.vertices - record.genotype[row, :2]) <= record.genotype[row, 2:]).all(axis=1)  # pyright: ignore[reportOptionalSubscript]
+        assert record.genotype is not None
+        inside: Any = (np.abs(record.vertices - record.genotype[row, :2]) <= record.genotype[row, 2:]).all(axis=1)
         torn = sum(0 < inside[face].sum() < 3 for face in record.faces)
         assert torn > 0 or row != int(np.argmin(ranks))
         assert (f"where displacements end abruptly, in {torn} triangles" in out) == (torn > 0)
