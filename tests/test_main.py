@@ -29,7 +29,7 @@ def no_figures(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) 
 MISTAKES = {
     "method.generatons=3": "method.nsga2",
     "method=nsga2 method.generatons=3": "did you mean method.generations?",
-    "method=nsga3": "choose one of cmaes, given, gradient, lloyd, nsga2, ols, panel, random",
+    "method=nsga3": "choose one of blend, cmaes, given, gradient, lloyd, nsga2, ols, panel, random",
     "scenario=sphere": "choose one of face, mesh, plane",
     "kernel=gauss": "choose one of gaussian, inverse_multiquadric, multiquadric, triharmonic, wendland, wendland_c0, ",
     "manipulation=both": "choose one of direct, indirect",
@@ -52,7 +52,7 @@ MISTAKES = {
     "preference=[]": "the list is empty",
     "preference=[0.5,0.5]": "twice",
     "method=nsga2 preference=0.3": "method=nsga2 finds the same setups without it",
-    "method=lloyd preference=0.3": "leave it out, or choose method=cmaes or gradient",
+    "method=lloyd preference=0.3": "leave it out, or choose method=blend or cmaes or gradient",
     "method=ols preference=[0,1]": "preference=[0,1]: method=ols finds the same setups without it",
     "method=random preference=1": "method=random finds the same setups without it",
     "method=gradient method.population=288": "starts=160: at least population=288 is needed",
@@ -166,12 +166,13 @@ def test_results_are_never_overwritten(tmp_path: Path, capfd: pytest.CaptureFixt
             "method=gradient method.generations=6 method.polish=2 method.population=16 preference=[0,0.5,1]",
             {"random": 160, "gradient": 3},
         ),
+        ("method=blend method.climbs=2 preference=[0.3,0.7]", {"blend": 2}),
         ("method=lloyd", {"lloyd": 1}),
         ("method=ols", {"ols": 1}),
         ("method=random method.population=7", {"random": 7}),
         (
             "method.nsga2.generations=2 method.cmaes.generations=2",
-            {"random": 100, "nsga2": 100, "cmaes": 11, "lloyd": 1, "ols": 1},
+            {"random": 100, "nsga2": 100, "cmaes": 11, "lloyd": 1, "ols": 1, "blend": 11},
         ),
     ],
 )
@@ -185,7 +186,7 @@ def test_run_directory_of_every_method(arguments: str, count: dict[str, int], tm
     assert table["method"].dtype.kind == "U"
     assert table["nondominated"].dtype == bool
     assert table["nondominated"].any()
-    preferred = ("cmaes", "gradient") if "preference" in arguments else ("cmaes",)
+    preferred = ("blend", "cmaes", "gradient") if "preference" in arguments else ("blend", "cmaes")
     assert (np.isfinite(table["preference"]) == np.isin(table["method"], preferred)).all()
     with (tmp_path / "setups.csv").open() as file:
         lines = list(csv.DictReader(file))
