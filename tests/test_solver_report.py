@@ -57,6 +57,17 @@ def test_reductions_and_solutions_are_counted_from_the_first_design(made: list[D
     assert [cell.strip() for cell in shown[3].split("|")[1:-1]][7] == "3"
 
 
+def test_where_lloyds_few_are_ahead_of_all_sixteen_these_are_what_counts(made: list[Descent]) -> None:
+    ahead = [one for one in made if one.setup != "Lloyd 0"]
+    best, worse = (
+        [*ahead, *descents(lines("Lloyd 0", "few", steady(179.0)) + lines("Lloyd 0", "many", steady(last)))]
+        for last in (182.0, 180.0)
+    )
+    judged = [verdicts(found, "diffuser")[2] for found in (best, worse)]  # the recommendation is at 181
+    assert [gap.reached for gap in judged] == [True, False]
+    assert all("there is no gap" in gap.numbers for gap in judged)
+
+
 def test_aims_are_judged_by_the_recommended_radius_and_the_best_of_the_others(made: list[Descent]) -> None:
     lloyd, grid, gap, rule = verdicts(made, "diffuser")
     assert lloyd == Verdict("diffuser", "few: above the best of Lloyd", True, "9.50 % against 8.00 % (Lloyd 1, r 1)")
