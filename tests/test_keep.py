@@ -70,7 +70,7 @@ def test_every_method_keeps_the_centers_to_the_bit_and_places_the_others(method:
     assert len(np.unique(own[record.method == method].reshape(-1, 2), axis=0)) > 1
     assert record.summary["kept"] == 3
     np.testing.assert_array_equal(record.centers, found[1].centers)
-    if method != "ols":
+    if method not in ("blend", "ols"):  # of two centers all starts of Lloyd end at the same places
         assert not np.array_equal(record.centers, found[2].centers)
     # None of the columns is lost: P is at least that of the kept centers alone.
     phi = build(option("kernel", "wendland"), 2, 0.5, 2.0)
