@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 from browsers import opened, settled
-from browsers import started as browsers_started
 from test_ffd import SMALL, pygem
 from test_ffd_manipulations import symmetric
 from test_mesh_runs import egg
@@ -88,11 +87,6 @@ def test_handles_are_shown_where_they_move_to(name: str, runs: Path, tmp_path: P
     out = tmp_path / "a.png"
     assert show.main([str(runs / name), "--pick", f"index:{row}", "--pictures", "--out", str(out)]) == 0
     assert out.stat().st_size > 10_000
-
-
-@pytest.fixture(scope="module")
-def browser() -> Any:
-    yield from browsers_started()
 
 
 @pytest.mark.parametrize("name", ["indirect", "direct"])
