@@ -10,7 +10,6 @@ Each idea gives eleven setups, for preferences 0, 0.1 .. 1. Its figure is the hy
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -21,7 +20,7 @@ import torch
 from hydra.core.global_hydra import GlobalHydra
 from torch import Tensor
 
-from benchmarks.choosing import ROOT, write
+from benchmarks.choosing import ROOT, read_table, write
 from benchmarks.panels import PANELS
 from rbfevo.methods.blend import BlendHeuristic, Starts, climbed
 from rbfevo.methods.method import Problem
@@ -139,14 +138,6 @@ def _share(problem: Problem, setups: Tensor, whole: float) -> dict[str, float]:
     return {"hypervolume": found, "share": found / whole}
 
 
-def read() -> list[dict[str, str]]:
-    """The table that is there."""
-    if not TABLE.exists():
-        return []
-    with TABLE.open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
-
-
 def page(lines: list[dict[str, Any]]) -> None:
     """Write the table of shares into docs/blend.md."""
     names = list(dict.fromkeys(line["idea"] for line in lines if line["idea"] != "gradient"))
@@ -168,7 +159,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", metavar="NAME", default="", help="cases whose names contain this")
     options = parser.parse_args()
-    lines: list[dict[str, Any]] = [dict(line) for line in read()]
+    lines: list[dict[str, Any]] = [dict(line) for line in read_table(TABLE)]
     for name, overrides in cases().items():
         if options.only not in name:
             continue
@@ -183,7 +174,7 @@ def main() -> int:
         lines = [line for line in lines if line["case"] != name] + [{key: line[key] for key in keys} for line in found]
         order = list(cases())
         write(TABLE, sorted(lines, key=lambda line: order.index(line["case"])))
-    page([dict(line) for line in read()])
+    page([dict(line) for line in read_table(TABLE)])
     return 0
 
 

@@ -240,6 +240,14 @@ def _median(group: list[dict[str, Any]], field: str) -> str:
     return f"{middle:.0f}" if field == "seconds" and middle >= 10 else f"{middle:.3g}"
 
 
+def read_table(path: Path) -> list[dict[str, Any]]:
+    """The lines of a table; none of one that is not there."""
+    if not path.exists():
+        return []
+    with path.open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
 def write(path: Path, lines: list[dict[str, Any]]) -> None:
     """Write dictionaries with the same keys as a CSV file."""
     with path.open("w", newline="", encoding="utf-8") as file:

@@ -10,14 +10,13 @@ manipulation, boxes as their control points move; both by `method=gradient` with
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.choosing import ROOT, write
+from benchmarks.choosing import ROOT, read_table, write
 from benchmarks.elsewhere.cases import CASES, Case
 from benchmarks.elsewhere.setups import CELLS, SEARCH, grid, placed, scores
 from rbfevo.__main__ import main as rbfevo
@@ -118,13 +117,9 @@ def _short(value: str) -> str:
     return f"{float(value):.3g}" if value else ""
 
 
-def read_table() -> list[dict[str, str]]:
-    """The table that is there, in order."""
-    if not TABLE.exists():
-        return []
-    with TABLE.open(encoding="utf-8") as file:
-        lines = list(csv.DictReader(file))
-    return sorted(lines, key=lambda line: (NAMES.index(line["case"]), int(line["asked"])))
+def in_order() -> list[dict[str, Any]]:
+    """The lines of the table by shape and number of parameters."""
+    return sorted(read_table(TABLE), key=lambda line: (NAMES.index(line["case"]), int(line["asked"])))
 
 
 def main() -> int:
@@ -141,8 +136,8 @@ def main() -> int:
                 short = {key: f"{value:.6g}" if isinstance(value, float) else value for key, value in line.items()}
                 print(*short.values(), flush=True)
                 found.append(short)
-            write(TABLE, [*(line for line in read_table() if line["case"] != name), *found])
-    page(read_table())
+            write(TABLE, [*(line for line in in_order() if line["case"] != name), *found])
+    page(in_order())
     return 0
 
 

@@ -6,7 +6,6 @@ OMP_NUM_THREADS=1 python -m benchmarks.solver diffuser elastic duct body     # h
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.choosing import ROOT, write
+from benchmarks.choosing import ROOT, read_table, write
 from benchmarks.solver.descent import descend
 from benchmarks.solver.elastic import Elastic
 from benchmarks.solver.flow import Flow
@@ -126,14 +125,6 @@ def collected(files: str, table: Path) -> list[dict[str, Any]]:
 def _key(line: dict[str, Any]) -> tuple[str, ...]:
     """What tells the lines of one descent, or of one setup or seed, from those of another."""
     return tuple(line.get(key, "") for key in (*KEYS, "seed"))
-
-
-def read_table(path: Path) -> list[dict[str, Any]]:
-    """The lines of a table; none of one that is not there."""
-    if not path.exists():
-        return []
-    with path.open(encoding="utf-8") as file:
-        return list(csv.DictReader(file))
 
 
 def main() -> int:

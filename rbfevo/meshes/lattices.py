@@ -88,11 +88,11 @@ def su2(text: str) -> LatticeFile:
     settings = dict(re.findall(r"^\s*(FFD_\w+)\s*=\s*(.*?)\s*$", "\n".join(lines), re.MULTILINE))
     if "FFD_DEFINITION" not in settings:
         raise FormatError("it has no FFD_DEFINITION")
-    _, *words = re.split(r"[,\s]+", settings["FFD_DEFINITION"].strip("() \t"))
-    if ";" in settings["FFD_DEFINITION"] or len(words) != 24:
+    _, *fields = re.split(r"[,\s]+", settings["FFD_DEFINITION"].strip("() \t"))
+    if ";" in settings["FFD_DEFINITION"] or len(fields) != 24:
         raise FormatError("FFD_DEFINITION must hold one box, its name and the coordinates of eight corners")
     degrees = _numbers(re.split(r"[,\s]+", settings.get("FFD_DEGREE", "").strip("() \t")))
-    return LatticeFile(_counts(degrees), _of_corners(np.array(_numbers(words)).reshape(8, 3)))
+    return LatticeFile(_counts(degrees), _of_corners(np.array(_numbers(fields)).reshape(8, 3)))
 
 
 def su2_mesh(text: str) -> LatticeFile:
@@ -158,8 +158,8 @@ def _counts(degrees: list[float]) -> tuple[int, int, int]:
     return int(degrees[0]) + 1, int(degrees[1]) + 1, int(degrees[2]) + 1
 
 
-def _numbers(words: list[str]) -> list[float]:
+def _numbers(fields: list[str]) -> list[float]:
     try:
-        return [float(word) for word in words if word]
+        return [float(field) for field in fields if field]
     except ValueError as error:
         raise FormatError(str(error)) from None
