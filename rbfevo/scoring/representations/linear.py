@@ -61,8 +61,9 @@ class LinearRBF(RBF):
     """RBFs with a linear polynomial: B(x) = phi(x) (I - E E^T) + e(x) E^T [m], U = B (indirect), B B(C)^-1 (direct).
 
     The direct U is that of the saddle-point system: each center moves by its own parameters, and a linear displacement
-    of all centers is one of the whole design. R and P of both depend on no origin of the coordinates, and those of a compact kernel on
-    no unit of length. Setups whose centers lie in a plane (on the plane: on a line) have no columns but NaN, and fail.
+    of all centers is one of the whole design. R and P of both depend on no origin of the coordinates, and those of
+    a compact kernel on no unit of length. Setups whose centers lie in a plane (on the plane: on a line) have no
+    columns but NaN, and fail.
 
     Args:
         kernel: phi; linear: the linear functions; image: as for `RBF`.
