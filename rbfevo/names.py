@@ -120,6 +120,11 @@ def existing_home(path: str | Path) -> Path:
     return Path(os.path.expanduser(path))  # noqa: PTH111 - `Path.expanduser` raises where there is none
 
 
+def natural(text: str) -> tuple[list[str | int], str]:
+    """A key that sorts numbers within words by their size."""
+    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", text)], text
+
+
 def file_and_name(source: str) -> tuple[str, str]:
     """A file and the name of one of its arrays or columns, of `FILE:NAME`; without a name, or such a file, as it is."""
     text, colon, name = source.rpartition(":")

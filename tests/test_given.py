@@ -15,6 +15,7 @@ from scipy.spatial.distance import cdist
 
 from rbfevo import collect, export
 from rbfevo.__main__ import main
+from rbfevo.errors import UserError
 from rbfevo.figures.front import picture
 from rbfevo.figures.report import page
 from rbfevo.figures.series import series
@@ -111,6 +112,26 @@ def test_every_format_gives_the_same_bits(tmp_path: Path) -> None:
     assert record.label is not None
     assert record.label.tolist() == ["d", "e", "f", "g", "a", "b", "c", "h i"]
     assert len(set(record.regularity.tolist())) == len(set(record.improvement_potential.tolist())) == 1
+
+
+def test_a_directory_stands_for_its_files_in_natural_order(tmp_path: Path) -> None:
+    directory = tmp_path / "setups"
+    directory.mkdir()
+    generator = np.random.default_rng(3)
+    written = {}
+    for name in ("setup-10.csv", "setup-2.csv", "setup-1.CSV"):
+        written[name] = generator.uniform(0.2, 0.8, (4, 2))
+        table(directory / name, written[name])
+    (directory / "notes.md").write_text("not control points")
+    run = tmp_path / "run"
+    assert main(on_plane(run, directory)) == 0
+    record = read(run)
+    assert record.label is not None
+    assert record.label.tolist() == ["setup-1", "setup-2", "setup-10"]
+    np.testing.assert_array_equal(record.centers, [written[f"setup-{n}"] for n in ("1.CSV", "2.csv", "10.csv")])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UserError, match=r"neither centers\.csv nor other files with control points"):
+        GivenCenters(centers=str(tmp_path / "empty"))
 
 
 def test_several_files_are_told_apart_by_name_and_by_picture(
@@ -312,7 +333,7 @@ def test_files_that_contradict_each_other_or_a_setting_are_one_line(
         "[]": ([], "method.centers=[]: give a file with control points, or a list of files"),
         "null": ([], "method.centers=null: give a file with control points, or a list of files"),
         "[1,2]": ([], "method.centers=[1, 2]: give a file with control points, or a list of files"),
-        f"{tmp_path}": ([], f"{tmp_path}: this directory has no centers.csv, so it is no export of rbfevo"),
+        f"{tmp_path}": ([], f"{tmp_path}/a.csv has 4, {tmp_path}/b.csv has 3; with -m and without the brackets"),
         f"{a} ": (["preference=0.5"], "preference=0.5: method=given finds the same setups without it"),
     }
     for centers, (more, message) in cases.items():

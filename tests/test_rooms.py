@@ -25,6 +25,7 @@ ROOMS = {
     "fit": {"scenarios", "scoring", "methods", "runs", "recorded"},
     "figures": {"recorded"},
     "commands": {"geometry", "meshes", "scenarios", "scoring", "descent", "runs", "recorded", "figures"},
+    "studio": {"geometry", "meshes", "scenarios", "scoring", "methods", "runs", "recorded", "commands"},
 }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,12 +12,26 @@ from rbfevo.arrays import Points, Triangles
 _BLOCK, _ROUNDING = 200_000, 1e-12
 
 
+_LAST: dict[bytes, NDArray[np.int64]] = {}  # of the last surface: the studio builds its design again and again
+
+
 def piercing_edges(vertices: Points, triangles: Triangles, edges: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return the indices of those `edges` [e, 2] that pierce a triangle with which they share no vertex.
 
     Vertices that coincide count as one, so a seam is no crossing; nor is a touch: the ends of the edge lie strictly on
     the two sides of the triangle, and it passes between the triangle's edges, or through one of them.
     """
+    hashed = hashlib.blake2b()
+    for array in (vertices, triangles, edges):
+        hashed.update(np.ascontiguousarray(array).data)
+    if hashed.digest() not in _LAST:
+        _LAST.clear()
+        _LAST[hashed.digest()] = _found(vertices, triangles, edges)
+    return _LAST[hashed.digest()].copy()
+
+
+def _found(vertices: Points, triangles: Triangles, edges: NDArray[np.int64]) -> NDArray[np.int64]:
+    """What `piercing_edges` returns."""
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonCore import vtkIdList, vtkPoints
     from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData, vtkStaticCellLocator

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from rbfevo.errors import UserError
 from rbfevo.methods.method import Heuristic, Problem, Rows, files_of
-from rbfevo.scenarios.control_points import read_centers
+from rbfevo.scenarios.control_points import files_in, read_centers
 from rbfevo.scenarios.scenario import Scenario
 
 
@@ -19,7 +19,8 @@ class GivenCenters(Heuristic):
     """Control points from files, one setup a file, exactly where they are.
 
     Args:
-        centers: a file, or a list of files, as `rbfevo.scenarios.control_points.read_centers` takes them.
+        centers: a file, or a list of files, as `rbfevo.scenarios.control_points.read_centers` takes them; a directory
+            that is no export stands for the files in it.
 
     Attributes:
         files: these; labels: [p] a short name of each; inputs: [p, m, d] their centers, once `bring` has read them.
@@ -33,7 +34,8 @@ class GivenCenters(Heuristic):
 
     def __init__(self, centers: Any = None) -> None:
         super().__init__()
-        self.files = files_of("method.centers", centers)
+        asked = files_of("method.centers", centers)
+        self.files = files_of("method.centers", [file for path in asked for file in files_in(path)])
         self.labels = labels_of(self.files)
         self.inputs: Tensor | None = None
 

@@ -39,6 +39,7 @@ class Parts:
     Args:
         settings: checked settings.
         backend: what the evaluators run on, as in `Evaluator`; None chooses by the size of the run.
+        scenario: the design, where it is there already; None makes the one of the settings.
 
     Attributes:
         searched: the scenario that the search looks at: with `scenario.search_vertices` a coarse one.
@@ -48,10 +49,10 @@ class Parts:
         UserError: for what only shows when the parts meet (no such device, more centers than vertices, ...).
     """
 
-    def __init__(self, settings: Settings, backend: str | None = None) -> None:
+    def __init__(self, settings: Settings, backend: str | None = None, scenario: Scenario | None = None) -> None:
         self.settings = settings
         self.device = chosen_device(settings.device)
-        self.scenario: Scenario = build(settings.scenario)
+        self.scenario: Scenario = build(settings.scenario) if scenario is None else scenario
         method = build(settings.method)
         self.stages = stages_of(method)
         self.settings = settings = self._counted(settings)

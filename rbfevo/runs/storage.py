@@ -98,8 +98,8 @@ def write_sequence(directory: Path, table: dict[str, np.ndarray]) -> None:
     write_whole(directory / "sequence.csv", csv_text(list(table), rows))
 
 
-def write_scenario(directory: Path, scenario: Scenario) -> None:
-    """Write `scenario.npz`: what the scores of the setups can be computed from."""
+def scenario_arrays(scenario: Scenario) -> dict[str, np.ndarray]:
+    """The arrays of `scenario.npz`: what the scores of the setups can be computed from."""
     names = ("vertices", "faces", "gradient", "weights", "lower", "upper")
     arrays = {name: getattr(scenario, name).cpu().numpy() for name in names}
     if scenario.stays is not None:
@@ -114,7 +114,12 @@ def write_scenario(directory: Path, scenario: Scenario) -> None:
         arrays["gradient_raw"] = scenario.gradient_raw.cpu().numpy()  # before smoothing
     if scenario.rows is not None:
         arrays["rows"] = scenario.rows.numpy()  # which points of the template's file the vertices are
-    write_whole(directory / "scenario.npz", npz(arrays))
+    return arrays
+
+
+def write_scenario(directory: Path, scenario: Scenario) -> None:
+    """Write `scenario.npz`."""
+    write_whole(directory / "scenario.npz", npz(scenario_arrays(scenario)))
 
 
 def write_summary(directory: Path, summary: dict[str, Any]) -> None:

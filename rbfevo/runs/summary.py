@@ -14,23 +14,16 @@ from rbfevo.methods.method import Rows
 from rbfevo.scenarios.objectives import Objectives
 
 if TYPE_CHECKING:
+    from rbfevo.runs.assembly import Parts
     from rbfevo.runs.run import Run
 
 
 def summary(run: Run, volume: float) -> dict[str, Any]:
     """The contents of `summary.json`."""
-    evaluations, mirror = run.total("evaluations"), run.scenario.mirror
-    symmetry = None if mirror is None else {"axis": "xyz"[mirror.axis], "at": mirror.at}
-    plane, objectives = run.scenario.planar, run.scenario.objectives
+    evaluations = run.total("evaluations")
     return {
-        "scenario": run.scenario.name,
-        "kernel": run.kernel.name,
-        "support": run.kernel.support,
-        "representation": {"name": run.representation.name, **run.representation.spec()},
-        "manipulation": run.settings.manipulation,
+        **of_parts(run),
         "method": run.name,
-        "centers": run.settings.centers,
-        **({"kept": len(run.kept)} if len(run.kept) else {}),
         "seed": run.settings.seed,
         "device": describe(run.device),
         "versions": versions(),
@@ -44,25 +37,40 @@ def summary(run: Run, volume: float) -> dict[str, Any]:
         "seconds": run.seconds,
         "evaluations_per_second": evaluations / run.seconds if run.seconds > 0 else 0.0,
         "objectives": ["regularity", searched(run)],
-        "criterion_norm": run.norm,
         "hypervolume": volume,
         "stop_reason": run.stop_reason,
         "evaluator": run.evaluator.backend,
         "threads": run.threads,
-        "gradient_norm": finite(run.scenario.gradient_norm) if objectives is None else None,
-        "gradient_is": "direction" if run.scenario.direction_only else "displacement",
-        "objective": run.scenario.objective,
-        **({} if objectives is None else of_each(objectives)),
-        "smooth": run.scenario.smooth,
-        "symmetry": symmetry,
-        "hold_width": None if run.scenario.hold is None else run.scenario.hold.width,
-        "planar": None if plane is None else {"axis": plane.name, "at": plane.at},
-        "up": run.scenario.up,
-        "vertices": len(run.scenario.vertices),
         "search_vertices": len(run.searched.vertices),
         "search_differences": run.differences,
         "notes": run.scenario.notes,
         "warnings": run.warnings,
+    }
+
+
+def of_parts(parts: Parts) -> dict[str, Any]:
+    """What `summary.json` holds of the parts of a run before it has done anything: all that its setups are made of."""
+    scenario, mirror = parts.scenario, parts.scenario.mirror
+    plane, objectives = scenario.planar, scenario.objectives
+    return {
+        "scenario": scenario.name,
+        "kernel": parts.kernel.name,
+        "support": parts.kernel.support,
+        "representation": {"name": parts.representation.name, **parts.representation.spec()},
+        "manipulation": parts.settings.manipulation,
+        "centers": parts.settings.centers,
+        **({"kept": len(parts.kept)} if len(parts.kept) else {}),
+        "criterion_norm": parts.norm,
+        "gradient_norm": finite(scenario.gradient_norm) if objectives is None else None,
+        "gradient_is": "direction" if scenario.direction_only else "displacement",
+        "objective": scenario.objective,
+        **({} if objectives is None else of_each(objectives)),
+        "smooth": scenario.smooth,
+        "symmetry": None if mirror is None else {"axis": "xyz"[mirror.axis], "at": mirror.at},
+        "hold_width": None if scenario.hold is None else scenario.hold.width,
+        "planar": None if plane is None else {"axis": plane.name, "at": plane.at},
+        "up": scenario.up,
+        "vertices": len(scenario.vertices),
     }
 
 

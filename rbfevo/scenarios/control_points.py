@@ -7,6 +7,7 @@ region that is kept free, or in one place) is scored as it is, with a note.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,8 @@ from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import ON_PLANE, Mirror
 from rbfevo.geometry.planar import LAYER
-from rbfevo.meshes.control_points import ControlPoints, read_control_points
+from rbfevo.meshes.control_points import EXPORTED, PARAMETERS, POINTS, TABLES, ControlPoints, read_control_points
+from rbfevo.names import existing_home, natural
 from rbfevo.scenarios.scenario import Scenario
 
 SAME = 1e-6  # of the box's diagonal: a mirror image that close to a control point is its own; spreadsheets round
@@ -45,6 +47,24 @@ def read_centers(path: str, scenario: Scenario) -> Placed:
         return placed(found, scenario)
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
+
+
+def files_in(path: str | Path) -> tuple[str, ...]:
+    """The files of setups that a path stands for: of a directory that is no export all of its files, by their names.
+
+    Any other path stands for itself, also where there is nothing.
+
+    Raises:
+        UserError: if the directory has no file with control points.
+    """
+    directory = existing_home(path)
+    if not directory.is_dir() or any((directory / name).exists() for name in (*EXPORTED, "setups.npz")):
+        return (str(path),)
+    endings = (*TABLES, *POINTS, PARAMETERS)
+    found = [file for file in directory.iterdir() if file.is_file() and file.suffix.lower() in endings]
+    if not found:
+        raise UserError(f"{path}: this directory has neither {EXPORTED[0]} nor other files with control points")
+    return tuple(str(Path(path) / file.name) for file in sorted(found, key=lambda file: natural(file.name)))
 
 
 def placed(found: ControlPoints, scenario: Scenario) -> Placed:

@@ -154,6 +154,20 @@ class Scenario:
         """The map from points in the box to setups."""
         return Parameterization(self.mirror, self.side, self.keep_out, self.planar, self.pinned)
 
+    def wanting(self, wanted: Tensor) -> Scenario:
+        """The same design with another wanted displacement [n, k], model units; its notes and warnings stay.
+
+        Raises:
+            UserError: if it is 0 wherever vertices may move, or the design smooths, has several objectives or two
+                dimensions: then its sensitivity has to be read again.
+        """
+        if self.smooth is not None or self.objectives is not None or self.planar is not None:
+            raise UserError(f"scenario {self.name}: its wanted displacement cannot be replaced")
+        if self.stays is not None:
+            wanted = torch.where(self.stays[:, None], 0.0, wanted)
+        gradient, norm = unit_gradient(wanted, self.weights)
+        return dataclasses.replace(self, gradient=gradient, gradient_norm=norm)
+
     def half(self, open_only: bool = False) -> Scenario:
         """The design on the centers' side of the mirror, plane included; the whole one where there is no mirror.
 

@@ -2,7 +2,7 @@
 
 from rbfevo.recorded.sweep.comparison import best, name_of, rivals_of
 from rbfevo.recorded.sweep.curves import Curve, advice, curves, table_of_curves
-from rbfevo.recorded.sweep.members import Member, find, members, mesh_of, natural
+from rbfevo.recorded.sweep.members import Member, find, members, mesh_of
 from rbfevo.recorded.sweep.sequences import NestedSequence, labels_of, table_of_sequences
 from rbfevo.recorded.sweep.tables import (
     ALWAYS,
@@ -41,7 +41,6 @@ __all__ = [
     "members",
     "mesh_of",
     "name_of",
-    "natural",
     "nondominated",
     "rivals_of",
     "spread",

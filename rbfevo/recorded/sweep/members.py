@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +14,7 @@ import numpy as np
 from rbfevo.arrays import Array
 from rbfevo.choices import WITHOUT_EFFECT
 from rbfevo.errors import UserError
+from rbfevo.names import natural
 from rbfevo.recorded import hydra_files
 from rbfevo.recorded.record import PLAIN, Record, read
 
@@ -61,11 +61,6 @@ def _walk(directory: Path, seen: set[Path]) -> Iterator[tuple[Path, str | None]]
     for name in sorted(inside, key=natural):
         if inside[name] and not name.startswith("."):
             yield from _walk(directory / name, seen)
-
-
-def natural(text: str) -> tuple[list[str | int], str]:
-    """A key that sorts numbers within words by their size."""
-    return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", text)], text
 
 
 def members(directory: Path) -> tuple[list[Member], list[str]]:
