@@ -104,6 +104,18 @@ def test_pull_push_erase_and_directions() -> None:
     np.testing.assert_allclose(pulled.field, (1.0 - shares)[:, None] * before, atol=1e-15)
 
 
+def test_a_stroke_that_comes_back_erases_no_more_than_once() -> None:
+    fields = []
+    for ways in (1, 3):
+        painting = painting_of(painted.plate())
+        painting.replace(np.ones_like(painting.vertices))
+        there = [spot(x, 0.5) for x in np.linspace(0.3, 0.7, 9)]
+        stroke(painting, Brush("erase", 0.2, 1.0), [*there, *there[::-1], *there][: 9 * ways])
+        fields.append(painting.field)
+    np.testing.assert_allclose(fields[1], fields[0], atol=1e-15)
+    assert fields[0].min() == pytest.approx(0.0, abs=1e-12)
+
+
 def test_held_vertices_are_marked_and_released() -> None:
     painting = painting_of(painted.plate())
     brush = Brush("hold", 0.21, 1.0, 1.0)

@@ -207,13 +207,14 @@ def painted_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("manipulation", ["direct", "indirect"])
 def test_a_pull_moves_one_control_point(short: None, tmp_path: Path, manipulation: str) -> None:
-    state = dataclasses.replace(painted.state(Choices(centers=5, manipulation=manipulation)), held=None)
+    state = dataclasses.replace(painted.state(Choices(centers=5, manipulation=manipulation, radius=1.5)), held=None)
     state.held = np.zeros(len(state.vertices), bool)
     search = Search(state.vertices, state.triangles, tmp_path / "searched.vtp")
     record = search.take(task(state)).record
     chosen = setup(record, 0)
     shape, moved = Shape(record, chosen, 1.0), np.zeros((5, 3))
     moved[2] = (0.01, -0.02, 0.03)
+    assert np.abs(chosen.psi() - np.eye(5)).max() > 0.1  # they reach each other
     weights = shape.weights(Pulls(0.0, moved))
     reached = chosen.displacement(chosen.centers, weights)
     if manipulation == "direct":
