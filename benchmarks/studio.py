@@ -38,7 +38,7 @@ DRAG = 5.0  # seconds
 PICTURED = (  # what the brush does, its radius in per cent of the diagonal, and its way on the stage
     ("push in", 9, ((0.10, 0.62), (0.20, 0.68))),
     ("pull out", 8, ((0.70, 0.36), (0.78, 0.38))),
-    ("must stay", 4, ((0.33, 0.65), (0.38, 0.645), (0.45, 0.72))),
+    ("must stay", 4, ((0.33, 0.60), (0.40, 0.655), (0.46, 0.74))),
 )
 
 

@@ -73,6 +73,16 @@ def opened(browser: Browser, file: Path, place: str = "", **options: Any) -> Ite
         context.close()
 
 
+def serious(page: Page) -> list[tuple[str, list[str]]]:
+    """The serious and critical violations of accessibility that axe-core finds on a page, and where they are."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed").Axe()
+    return [
+        (violation["id"], [node["html"][:120] for node in violation["nodes"]])
+        for violation in axe.run(page).response["violations"]
+        if violation["impact"] in ("serious", "critical")
+    ]
+
+
 def settled(page: Page) -> None:
     """Wait until the views show what was chosen last."""
     for _ in range(2):

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 import torch
-from browsers import WINDOW, chosen, hovered, opened, settled
+from browsers import WINDOW, chosen, hovered, opened, serious, settled
 from PIL import Image
 from test_figures import change, write
 
@@ -296,6 +296,10 @@ def test_everything_can_be_reached_by_the_tab_key(page):
     controls = "keys-button preference weighted logarithmic best-potential knee best-regularity color shape see-through"
     controls += " keep save-centers save-picture turn-back only-front R P"
     assert reached_ids >= set(controls.split())
+
+
+def test_no_serious_violation_of_accessibility(page):
+    assert serious(page) == []
 
 
 def test_keys_are_told_and_do_nothing_else_meanwhile(page):
