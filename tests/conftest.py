@@ -16,9 +16,23 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 
+# With two processes (scripts/test) a process takes one file after the other, in this order: files of which a test waits
+# or computes for long come first, so that both processes end at about the same time.
+FIRST = (
+    *("test_cluster", "test_report_page", "test_jobs", "test_main", "test_openfoam_examples", "test_keep", "test_step"),
+    *("test_figures", "test_evaluator", "test_how_many", "test_plugins", "test_kills", "test_docs", "test_elastic"),
+)
+
+
 def pytest_configure() -> None:
     hypothesis.settings.register_profile("rbfevo", deadline=None, derandomize=True)
     hypothesis.settings.load_profile("rbfevo")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the files that take longest first."""
+    place = {name: number for number, name in enumerate(FIRST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(place)))
 
 
 @pytest.fixture(autouse=True)
