@@ -55,7 +55,7 @@ def _work(kind: str, path: Path, request: int, reply: int) -> NoReturn:
         os.closerange(3, os.sysconf("SC_OPEN_MAX"))
         warnings.resetwarnings()
         warnings.simplefilter("ignore")
-        sys.stdin, sys.stdout, sys.stderr = open(0), open(1, "w"), open(2, "w")
+        sys.stdin, sys.stdout, sys.stderr = os.fdopen(0), os.fdopen(1, "w"), os.fdopen(2, "w")
         from rbfevo.meshes.worker.serve import serve
 
         serve(kind, path)

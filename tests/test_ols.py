@@ -227,7 +227,7 @@ def test_units_of_gradient_and_columns_do_not_matter():
 
 
 @functools.cache
-def picked_by_the_textbook() -> tuple[list[int], np.ndarray]:
+def picked_by_the_textbook() -> tuple[list[int], list[float]]:
     X, g, box = plane(40)
     return textbook(Wendland(0.5)(distances(X, grid_candidates(*box))).numpy(), g.numpy(), 25)
 

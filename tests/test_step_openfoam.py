@@ -1,4 +1,4 @@
-"""`rbfevo.step --case`: on a case that is written here, with a solver of a few lines (OpenFOAM: the examples' tests)."""
+"""`rbfevo.step --case`: on a case that is written here, with a solver of a few lines; and a loop of the page."""
 
 from __future__ import annotations
 
