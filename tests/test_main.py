@@ -218,15 +218,15 @@ def test_saved_scores_are_those_of_a_plain_svd(scenario: str, kernel: str, manip
     arguments += [f"kernel.support={support}"] if "wendland" in kernel else []
     arguments += ["scenario.resolution=[40,40]"] if scenario == "plane" else ["scenario.subdivisions=3"]
     arguments += [
-        "method.nsga2.generations=20",
-        "method.nsga2.population=20",
-        "method.cmaes.generations=5",
+        "method.nsga2.generations=6",
+        "method.nsga2.population=12",
+        "method.cmaes.generations=3",
         "quiet=true",
     ]
     arguments += [
         "preference=[0,0.5,1]",
-        "method.cmaes.population=20",
-        "method.cmaes.parents=5",
+        "method.cmaes.population=12",
+        "method.cmaes.parents=4",
         "method.ols.per_axis=12",
         "method.blend.per_axis=12",
         "method.blend.climbs=3",
