@@ -42,12 +42,13 @@ COMMON = (
     "checkpoint.every=0",
 )
 GRADIENT = ("method=gradient", "method.starts=16", "method.population=16", "method.generations=24", "method.polish=6")
+PANEL = ("method=panel", "method.nsga2.generations=25", "method.cmaes.generations=8", "method.blend.climbs=3")
 METHODS: dict[str, tuple[str, ...]] = {
     "nsga2": ("method=nsga2", "method.generations=60", "method.population=40"),
     "cmaes": ("method=cmaes", "method.generations=40", "preference=[0,0.5,1]", "manipulation=direct"),
     "gradient": (*GRADIENT, "method.coarse=300"),
     "gradient, preferences": (*GRADIENT, "method.coarse=300", "preference=[0.2,0.8]"),
-    "panel": ("method=panel", "method.nsga2.generations=25", "method.cmaes.generations=8", "kernel=triharmonic"),
+    "panel": (*PANEL, "kernel=triharmonic"),
 }
 
 

@@ -171,7 +171,7 @@ def test_numbers_and_radii() -> None:
 def pushed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ball whose top is to be pushed in by a wide dent."""
     directory = tmp_path_factory.mktemp("ball")
-    ball = pyvista.Icosphere(radius=1.0, nsub=3)
+    ball = pyvista.Icosphere(radius=1.0, nsub=2)
     height = np.asarray(ball.points)[:, 2]
     ball["sens"] = np.column_stack([0.0 * height, 0.0 * height, np.exp(-4.0 * (1.0 - height))])
     ball["low"] = (height < -0.5).astype(float)

@@ -29,6 +29,7 @@ P, SUPPORT, LAST = 16.0, 1.5, 3 + 3 + 1 + 1  # steps: two searches of three gene
 SMALL = [
     *("method.nsga2.population=8", "method.nsga2.generations=3", "method.ols.per_axis=6", "method.lloyd.starts=2"),
     *("method.cmaes.population=6", "method.cmaes.parents=3", "method.cmaes.generations=3", "preference=[0,0.4,1]"),
+    *("method.blend.per_axis=6", "method.blend.climbs=2"),
 ]
 
 

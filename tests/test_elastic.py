@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 import os
 import re
 import subprocess
@@ -13,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import pyvista
+from called import Called, command
 
 from rbfevo import meshes
 from rbfevo.geometry.topology import vertex_areas
@@ -144,9 +147,21 @@ def test_the_sensitivity_changes_no_volume_where_it_is_uniform(case: Any) -> Non
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The example on a coarse mesh, with a short search."""
-    out = tmp_path_factory.mktemp("elastic") / "out"
-    return out, ended(str(out), *SHORT, "--cells", *map(str, CELLS))
+    """The example on a coarse mesh, with a short search, in this process and so the commands of rbfevo that it runs."""
+    out, optimize = tmp_path_factory.mktemp("elastic") / "out", module("optimize")
+
+    def here(words: list[str], check: bool) -> Called:
+        assert words[:2] == [sys.executable, "-m"]
+        found = command(*words[2:])
+        print(found.stdout)
+        assert found.returncode == 0, found.stderr
+        return found
+
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as printed:
+        patch.setattr(optimize.subprocess, "run", here)
+        patch.syspath_prepend(str(EXAMPLE))
+        assert optimize.main([str(out), *SHORT, "--cells", *map(str, CELLS)]) == 0
+    return out, printed.getvalue()
 
 
 def ended(*arguments: str, code: int = 0) -> str:

@@ -8,12 +8,14 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rbfevo.__main__ import main
+from rbfevo.runs import checkpoint
 
 ROOT = Path(__file__).parents[1]
 SMALL = ["scenario.resolution=[24,24]", "quiet=true", "evaluator=eager"]
@@ -133,11 +135,12 @@ def run(directory: Path, *overrides: str) -> dict[str, np.ndarray]:
 
 def test_more_elements_than_starts_where_starts_are_not_used(tmp_path: Path) -> None:
     arguments = ("method=gradient", "method.population=288", "preference=0", "method.generations=2", "method.polish=1")
+    arguments += ("centers=4",)
     assert run(tmp_path, *arguments)["preference"].tolist()[-1] == 0.0
 
 
 def test_a_sweep_over_methods_may_have_preferences_that_some_do_not_use(tmp_path: Path) -> None:
-    arguments = ["method=lloyd,cmaes", "preference=0.3", "checkpoint.every=null"]
+    arguments = ["method=lloyd,cmaes", "preference=0.3", "checkpoint.every=null", "method.generations=2", "centers=4"]
     assert main(["-m", f"hydra.sweep.dir={tmp_path}", *SMALL, *arguments]) == 0
     found = [json.loads(path.read_text()) for path in tmp_path.glob("*/summary.json")]
     warned = {run["method"]: [w for w in run["warnings"] if "finds the same setups without it" in w] for run in found}
@@ -215,16 +218,18 @@ def test_saved_scores_are_those_of_a_plain_svd(scenario: str, kernel: str, manip
     arguments += [f"kernel.support={support}"] if "wendland" in kernel else []
     arguments += ["scenario.resolution=[40,40]"] if scenario == "plane" else ["scenario.subdivisions=3"]
     arguments += [
-        "method.nsga2.generations=20",
-        "method.nsga2.population=20",
-        "method.cmaes.generations=5",
+        "method.nsga2.generations=6",
+        "method.nsga2.population=12",
+        "method.cmaes.generations=3",
         "quiet=true",
     ]
     arguments += [
         "preference=[0,0.5,1]",
-        "method.cmaes.population=20",
-        "method.cmaes.parents=5",
+        "method.cmaes.population=12",
+        "method.cmaes.parents=4",
         "method.ols.per_axis=12",
+        "method.blend.per_axis=12",
+        "method.blend.climbs=3",
     ]
     assert main([f"hydra.run.dir={tmp_path}", *arguments]) == 0
     with np.load(tmp_path / "setups.npz") as setups, np.load(tmp_path / "scenario.npz") as files:
@@ -287,13 +292,17 @@ def test_a_sweep_over_the_preference_grid(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_run_keeps_what_it_found(number: signal.Signals, code: int, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "rbfevo", f"hydra.run.dir={tmp_path}/run", "method=nsga2", "centers=4"]
-    command += ["method.generations=1000000", "scenario.resolution=[12,12]", "evaluator=eager"]
+    command += ["method.generations=1000000", "scenario.resolution=[12,12]", "evaluator=eager", "checkpoint.every=0"]
+    command += ["figures=false"]
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    run = tmp_path / "run"
     with subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
-        for line in process.stdout:  # the first line of progress: the search is on its way
-            if line.startswith(b"nsga2 "):
+        end = time.monotonic() + 60
+        while time.monotonic() < end:  # until the search is on its way
+            if (run / checkpoint.NAME).exists() and checkpoint.load(run)["progress"]:
                 break
+            time.sleep(0.05)
         process.send_signal(number)
         process.stdout.read()
         assert process.wait(60) == code

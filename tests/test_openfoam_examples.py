@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import importlib
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import called
 import numpy as np
 import pytest
+from pages import blocks, carried_out
 
 from rbfevo.arrays import Ints
 from rbfevo.meshes.mesh import Mesh
@@ -21,7 +25,9 @@ from rbfevo.scenarios import mesh
 ROOT = Path(__file__).parents[1]
 TOOLS = ("blockMesh", "snappyHexMesh", "checkMesh", "adjointOptimisationFoam")
 MISSING = [tool for tool in TOOLS if shutil.which(tool) is None]
-SHORT = ("figures=false", "method.starts=16", "method.population=16", "method.generations=5")
+EXAMPLES = ROOT / "examples" / "openfoam"
+SHORT = ("figures=false", "method.starts=16", "method.population=16", "method.generations=5", "method.polish=3")
+SHORT += ("method.front=8",)
 needs_openfoam = pytest.mark.skipif(bool(MISSING), reason=f"OpenFOAM is not installed: {', '.join(MISSING)} missing")
 
 
@@ -43,26 +49,64 @@ class Done(NamedTuple):
     step: str
 
 
-DUCT, BODY = Case("duct", "bend", 0.6, 0.0025), Case("body", "body", 0.9, 0.01)
+DUCT, BODY = Case("duct", "bend", 0.6, 0.0025), Case("body", "body", 0.8, 0.01)
 
 
-def run(out: Path, case: Case, *arguments: str, step: float | None = None) -> Done:
+def run(out: Path, case: Case, *arguments: str) -> Done:
+    """A run of an example as a user starts it."""
     command = [sys.executable, f"examples/openfoam/{case.name}.py", str(out), *arguments]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    return ended(out, case, done)
+
+
+def run_here(out: Path, case: Case, *arguments: str) -> Done:
+    """A run of an example in this process, where the commands of rbfevo are carried out as well."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("WM_PROJECT_DIR", raising=False)  # which the example sets
+        patch.syspath_prepend(str(EXAMPLES))
+        steps: Any = importlib.import_module("steps")
+        started = steps._run
+
+        def here(words: list[str]) -> str:
+            if words[:2] != [sys.executable, "-m"]:
+                return started(words)
+            done = called.command(*words[2:])
+            assert done.returncode == 0, done.stderr
+            print(done.stdout, end="")
+            return done.stdout
+
+        patch.setattr(steps, "_run", here)
+        return ended(out, case, called.script(EXAMPLES / f"{case.name}.py", str(out), *arguments))
+
+
+def ended(out: Path, case: Case, done: Any) -> Done:
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     (directory,) = [path.name for path in out.iterdir() if path.name.startswith("step-")]
-    if step is not None:
-        assert directory == f"step-{step:g}"
     return Done(case, out, done.stdout, directory)
 
 
-@pytest.fixture(scope="module", params=[DUCT, BODY], ids=lambda case: case.name)
-def done(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Done:
-    """A short run of each example, on a coarser mesh."""
-    case: Case = request.param
-    out = tmp_path_factory.mktemp(case.name) / "out"
-    return run(out, case, *SHORT, "--scale", str(case.scale), "--step", str(case.step), step=case.step)
+def short_run(case: Case, out: Path) -> Done:
+    """A run on a coarser mesh, with a short search."""
+    done = run_here(out, case, *SHORT, "--scale", str(case.scale), "--step", str(case.step))
+    assert done.step == f"step-{case.step:g}"
+    return done
+
+
+@pytest.fixture(scope="module")
+def duct(tmp_path_factory: pytest.TempPathFactory) -> Done:
+    return short_run(DUCT, tmp_path_factory.mktemp("duct") / "out")
+
+
+@pytest.fixture(scope="module")
+def body(tmp_path_factory: pytest.TempPathFactory) -> Done:
+    return short_run(BODY, tmp_path_factory.mktemp("body") / "out")
+
+
+@pytest.fixture(params=["duct", "body"])
+def done(request: pytest.FixtureRequest) -> Done:
+    """A short run of each example."""
+    return request.getfixturevalue(request.param)
 
 
 def mesh_of(path: Path) -> Mesh:
@@ -158,6 +202,30 @@ def test_every_step_is_printed_as_the_command_that_it_runs(done: Done) -> None:
         *(*made, "checkMesh", "adjointOptimisationFoam", "rbfevo", "rbfevo.export", "rbfevo.apply"),
         *("checkMesh", "adjointOptimisationFoam"),
     ]
+
+
+@needs_openfoam
+def test_the_shell_loop_of_the_page_is_an_optimization(duct: Done, tmp_path: Path) -> None:
+    """Of docs/step.md: it goes on from the short run, and ends sooner."""
+    example, block = blocks("step.md")[0].split("\n", 1)
+    assert example == "python examples/openfoam/duct.py outputs/duct"
+    assert "--tolerance 0.02" in block
+    (tmp_path / "outputs").mkdir()
+    (tmp_path / "outputs" / "duct").symlink_to(duct.out)
+    printed = carried_out(block.replace("--tolerance 0.02", "--tolerance 0.08"), tmp_path)
+    lines = json.loads((tmp_path / "outputs" / "loop-state" / "state.json").read_text())["lines"]
+    assert len(lines) >= 4
+    J = [line["objective"] for line in lines]
+    assert (np.diff(J) < 0).all()
+    assert J[-1] < 0.85 * J[0]
+    for line in lines[1:]:
+        assert 0.6 < line["real"] / line["predicted"] < 1.1
+    assert "is below 0.08 of the objective" in printed
+    checked = subprocess.run(
+        ["checkMesh", "-latestTime", "-case", str(tmp_path / "outputs" / "loop")], capture_output=True, text=True,
+        env=os.environ | {"WM_PROJECT_DIR": os.environ.get("WM_PROJECT_DIR", "/usr/share/openfoam")}, check=False,
+    )  # fmt: skip
+    assert "Mesh OK." in checked.stdout
 
 
 @needs_openfoam

@@ -6,14 +6,17 @@ import importlib
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from called import command
 from scipy.spatial.distance import cdist
 
+from rbfevo.figures.processes import FIGURES
 from rbfevo.recorded.record import read
 from rbfevo.recorded.setup import setup
 from rbfevo.scenarios import plane
@@ -28,21 +31,36 @@ SEARCH = ["method=gradient", "method.starts=16", "method.population=16", "method
 
 
 def python(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """A command in a process of its own, which finds the plug-in as a user's does."""
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(PLUGGED)])}
-    command = [sys.executable, "-m", *arguments]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+    arguments = (sys.executable, "-m", *arguments)
+    return subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=300, check=False)
+
+
+def words(directory: Path, *overrides: str) -> list[str]:
+    return ["rbfevo", f"hydra.searchpath=[file://{PLUGGED}]", *SMALL, *overrides, f"hydra.run.dir={directory}"]
 
 
 def run(directory: Path, *overrides: str) -> Path:
-    made = python("rbfevo", f"hydra.searchpath=[file://{PLUGGED}]", *SMALL, *overrides, f"hydra.run.dir={directory}")
+    made = command(*words(directory, *overrides))
     assert made.returncode == 0, made.stdout + made.stderr
     return directory
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _importable() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(PLUGGED))
+        yield
+
+
 @pytest.fixture(scope="module")
 def gaussian(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The only run in a process of its own."""
     directory = tmp_path_factory.mktemp("gaussian") / "run"
-    return run(directory, "kernel=bell", "kernel.width=0.4", "manipulation=direct", *SEARCH)
+    made = python(*words(directory, "kernel=bell", "kernel.width=0.4", "manipulation=direct", *SEARCH))
+    assert made.returncode == 0, made.stdout + made.stderr
+    return directory
 
 
 @pytest.fixture(scope="module")
@@ -55,11 +73,6 @@ def modes(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def potential(U: np.ndarray, g: np.ndarray) -> float:
     left = np.linalg.svd(U, full_matrices=False)[0]
     return float((left.T @ g).__pow__(2).sum())
-
-
-@pytest.fixture(autouse=True)
-def _importable(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(PLUGGED))
 
 
 def test_scores_with_a_kernel_from_outside_are_those_of_its_formula(gaussian: Path) -> None:
@@ -93,12 +106,12 @@ def test_scores_in_a_representation_from_outside_are_those_of_its_columns(modes:
 
 
 def test_export_and_apply_know_what_a_kernel_from_outside_does(gaussian: Path, tmp_path: Path) -> None:
-    assert python("rbfevo.export", str(gaussian), "--pick", "knee", "--out", str(tmp_path / "e")).returncode == 0
+    assert command("rbfevo.export", str(gaussian), "--pick", "knee", "--out", str(tmp_path / "e")).returncode == 0
     saved = np.load(tmp_path / "e" / "setup.npz")
     arguments = [str(gaussian), "--pick", "knee", "--mesh", str(tmp_path / "e" / "template.vtp")]
     for what in ("displacements", "weights"):
         out = tmp_path / f"{what}.vtp"
-        done = python("rbfevo.apply", *arguments, f"--{what}", str(tmp_path / "e" / f"{what}.csv"), "--out", str(out))
+        done = command("rbfevo.apply", *arguments, f"--{what}", str(tmp_path / "e" / f"{what}.csv"), "--out", str(out))
         assert done.returncode == 0, done.stderr
     import pyvista
 
@@ -111,13 +124,13 @@ def test_export_and_apply_know_what_a_kernel_from_outside_does(gaussian: Path, t
 
 
 def test_what_a_representation_from_outside_does_not_offer_is_refused_in_a_line(modes: Path, tmp_path: Path) -> None:
-    exported = python("rbfevo.export", str(modes), "--pick", "knee", "--out", str(tmp_path / "e"))
+    exported = command("rbfevo.export", str(modes), "--pick", "knee", "--out", str(tmp_path / "e"))
     assert exported.returncode == 0, exported.stderr
     assert "left out: displacements.csv: the control points of representation=modes cannot be moved" in exported.stdout
     arguments = [str(modes), "--pick", "knee", "--mesh", str(tmp_path / "e" / "template.vtp")]
     weights = ["--weights", str(tmp_path / "e" / "weights.csv")]
-    assert python("rbfevo.apply", *arguments, *weights, "--out", str(tmp_path / "moved.vtp")).returncode == 0
-    fitted = python("rbfevo.fit", str(modes), "--pick", "knee")
+    assert command("rbfevo.apply", *arguments, *weights, "--out", str(tmp_path / "moved.vtp")).returncode == 0
+    fitted = command("rbfevo.fit", str(modes), "--pick", "knee")
     assert (fitted.returncode, fitted.stderr.count("\n")) == (2, 1)
     assert "only setups of centers" in fitted.stderr
     waves = f"representation.file={modes.parent / 'waves.npy'}"
@@ -126,21 +139,21 @@ def test_what_a_representation_from_outside_does_not_offer_is_refused_in_a_line(
         (["method=ols"], "method=ols places centers one by one, and representation=modes has none"),
         (["method=random", "manipulation=direct"], "manipulation=direct: representation=modes offers indirect"),
     ):
-        place = f"hydra.run.dir={tmp_path / 'refused'}"
-        made = python(
-            "rbfevo", f"hydra.searchpath=[file://{PLUGGED}]", *SMALL, "representation=modes", waves, *more, place
-        )
+        made = command(*words(tmp_path / "refused", "representation=modes", waves, *more))
         assert made.returncode == 2
         assert made.stderr.strip().splitlines()[-1] == f"rbfevo: {line}"
 
 
 def test_figures_and_the_page_are_drawn_of_plugged_in_runs(gaussian: Path, modes: Path) -> None:
+    """One run's by processes of their own, as the command does; the other one's here."""
     import json
     import re
 
+    drawn = [python("rbfevo.figures", str(gaussian))]
+    drawn += [command("rbfevo.figures", str(modes), "--only", figure) for figure in FIGURES]
+    for done in drawn:
+        assert done.returncode == 0, done.stderr
     for directory in (gaussian, modes):
-        drawn = python("rbfevo.figures", str(directory))
-        assert drawn.returncode == 0, drawn.stderr
         assert {"front.png", "centers.png", "report.html"} <= {path.name for path in directory.iterdir()}
         page = (directory / "report.html").read_text(encoding="utf-8")
         (content,) = re.findall(r'<script type="application/json" id="content">(.*?)</script>', page, re.DOTALL)
@@ -158,8 +171,9 @@ def test_figures_and_the_page_are_drawn_of_plugged_in_runs(gaussian: Path, modes
             )
 
 
-def test_a_kernel_from_outside_can_be_fitted(gaussian: Path, tmp_path: Path) -> None:
-    done = python("rbfevo.fit", str(gaussian), "--pick", "knee", "--out", str(tmp_path / "fit"))
+def test_a_kernel_from_outside_can_be_fitted(gaussian: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rbfevo.figures.draw", lambda run: [])
+    done = command("rbfevo.fit", str(gaussian), "--pick", "knee", "--out", str(tmp_path / "fit"))
     assert done.returncode == 0, done.stderr
 
 
@@ -167,16 +181,16 @@ def test_a_method_from_outside_searches_and_resumes(tmp_path: Path) -> None:
     directory = run(tmp_path / "run", "method=walk", "method.generations=3")
     before = read(directory)
     assert set(before.method.tolist()) == {"random", "walk"}
-    longer = python("rbfevo", f"resume={directory}", "method.generations=6")
+    longer = command("rbfevo", f"resume={directory}", "method.generations=6")
     assert longer.returncode == 0, longer.stderr
     whole = read(run(tmp_path / "whole", "method=walk", "method.generations=6"))
     np.testing.assert_array_equal(read(directory).centers, whole.centers)
 
 
 def test_a_kernel_that_is_not_there_any_more_is_told_in_a_line(gaussian: Path) -> None:
-    command = [sys.executable, "-m", "rbfevo.export", str(gaussian), "--pick", "knee"]
+    arguments = [sys.executable, "-m", "rbfevo.export", str(gaussian), "--pick", "knee"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=100, check=False)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "the kernel plugged.Bell of this run cannot be imported" in done.stderr
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 import pyvista
 import trimesh
+from called import command
 from slabs import lifted, ring, saved, strip
 
 from rbfevo import apply, step
@@ -516,6 +519,14 @@ def test_a_loop_that_is_killed_at_any_file_goes_on_to_the_same_bits(rule: str, l
 
 def test_adapt_adds_centers_that_keep_the_old_designs(tmp_path: Path, capsys: Any, monkeypatch: Any) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    started, searches = subprocess.run, []
+
+    def search(words: list[str], **keys: Any) -> Any:
+        """The first search is a process, as it stands; the others run here."""
+        searches.append(words)
+        return started(words, **keys) if len(searches) == 1 else command(*words[2:])
+
+    monkeypatch.setattr("rbfevo.commands.adapting.subprocess.run", search)
     loop = Loop(tmp_path / "a", toward, "centers=3", "kernel.support=1.4")
     solution = ["--objective", str(loop.start)]
     record = read(loop.run)
@@ -541,6 +552,7 @@ def test_adapt_adds_centers_that_keep_the_old_designs(tmp_path: Path, capsys: An
             break
         solution = loop.solved()
     assert added
+    assert all(words[:3] == [sys.executable, "-m", "rbfevo"] for words in searches)
     J = [line["objective"] for line in loop.entries()["lines"] if line["kept"]]
     assert (np.diff(J) < 0).all()
     # lower than the old centers can get, by least squares

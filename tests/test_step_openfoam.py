@@ -1,25 +1,21 @@
-"""`rbfevo.step --case`: on a case that is written here, with a solver of a few lines; and on OpenFOAM's own."""
+"""`rbfevo.step --case`: on a case that is written here, with a solver of a few lines; and a loop of the page."""
 
 from __future__ import annotations
 
 import json
-import os
-import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from foam_cases import box, write_dictionary, write_mesh, write_points_field
+from pages import blocks, carried_out
 
 from rbfevo import meshes, step
 from rbfevo.__main__ import main
 from rbfevo.meshes.openfoam import Case, case_of, objective_of, read_case
 
-ROOT = Path(__file__).parents[1]
 PICK = ["--pick", "best-improvement-potential"]
 MANAGERS = """
 adjointManagers
@@ -179,61 +175,16 @@ def test_the_next_case_can_be_another_one(loop: tuple[Path, list[str]], tmp_path
     assert capsys.readouterr().err.count("\n") == 1
 
 
-# --- OpenFOAM --------------------------------------------------------------------------------------------------------
+# --- the page --------------------------------------------------------------------------------------------------------
 
-TOOLS = ("blockMesh", "checkMesh", "adjointOptimisationFoam")
-MISSING = [tool for tool in TOOLS if shutil.which(tool) is None]
-needs_openfoam = pytest.mark.skipif(bool(MISSING), reason=f"OpenFOAM is not installed: {', '.join(MISSING)} missing")
 SHORT = ("figures=false", "method.starts=16", "method.population=16", "method.generations=5")
-
-
-def loops() -> list[str]:
-    """The blocks of the page."""
-    return re.findall(r"```sh\n(.*?)```", (ROOT / "docs" / "step.md").read_text(), re.DOTALL)
-
-
-def carried_out(block: str, where: Path) -> str:
-    """Run a block of the page in a directory where `python` and the examples are those of here."""
-    (where / "bin").mkdir()
-    (where / "bin" / "python").write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
-    (where / "bin" / "python").chmod(0o755)
-    (where / "examples").symlink_to(ROOT / "examples")
-    path = os.pathsep.join([str(where / "bin"), os.environ["PATH"]])
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "PATH": path, "OMP_NUM_THREADS": "1"}
-    if Path("/usr/share/openfoam").is_dir():
-        environment.setdefault("WM_PROJECT_DIR", "/usr/share/openfoam")
-    command = ["bash", "-c", block]
-    done = subprocess.run(command, cwd=where, env=environment, capture_output=True, text=True, timeout=900)
-    assert "rbfevo" not in done.stderr, done.stderr
-    return done.stdout
-
-
-@needs_openfoam
-def test_the_shell_loop_of_the_page_is_an_optimization(tmp_path: Path) -> None:
-    """On a coarser mesh, and ended sooner."""
-    block = loops()[0].replace("outputs/duct\n", f"outputs/duct {' '.join(SHORT)} --scale 0.6 --step 0.0025\n", 1)
-    assert "--tolerance 0.02" in block
-    printed = carried_out(block.replace("--tolerance 0.02", "--tolerance 0.08"), tmp_path)
-    lines = json.loads((tmp_path / "outputs" / "loop-state" / "state.json").read_text())["lines"]
-    assert len(lines) >= 4
-    J = [line["objective"] for line in lines]
-    assert (np.diff(J) < 0).all()
-    assert J[-1] < 0.85 * J[0]
-    for line in lines[1:]:
-        assert 0.6 < line["real"] / line["predicted"] < 1.1
-    assert "is below 0.08 of the objective" in printed
-    checked = subprocess.run(
-        ["checkMesh", "-latestTime", "-case", str(tmp_path / "outputs" / "loop")], capture_output=True, text=True,
-        env=os.environ | {"WM_PROJECT_DIR": os.environ.get("WM_PROJECT_DIR", "/usr/share/openfoam")}, check=False,
-    )  # fmt: skip
-    assert "Mesh OK." in checked.stdout
 
 
 @pytest.mark.slow
 def test_the_loop_around_the_bracket_is_an_optimization(tmp_path: Path) -> None:
     """On a coarser mesh, with a short search, and ended sooner."""
     pytest.importorskip("skfem", reason="scikit-fem is not installed (extra elastic)")
-    block = loops()[1].replace("solve.py outputs/bracket", "solve.py --cells 12 3 2 outputs/bracket")
+    block = blocks("step.md")[1].replace("solve.py outputs/bracket", "solve.py --cells 12 3 2 outputs/bracket")
     search = f"evaluator=eager method.polish=3 {' '.join(SHORT)}"
     whole = "method.starts=32 method.population=24 method.generations=40"
     assert whole in block

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.metadata
 import math
 import platform
@@ -121,10 +122,15 @@ def describe(device: torch.device) -> str:
 
 def versions() -> dict[str, str]:
     """Versions of what the numbers of a run depend on."""
-    found = {"python": platform.python_version()}
-    for package in ("rbfevo", "torch", "numpy", "scipy", "numba", "trimesh", "pyvista", "hydra-core", "mne"):
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
+    packages = ("rbfevo", "torch", "numpy", "scipy", "numba", "trimesh", "pyvista", "hydra-core", "mne")
+    installed = {package: version for package in packages if (version := _version(package)) is not None}
+    return {"python": platform.python_version(), **installed}
+
+
+@functools.cache
+def _version(package: str) -> str | None:
+    """The version of an installed package, which is read from a file once."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
