@@ -377,9 +377,9 @@ def test_a_killed_studio_offers_what_it_kept(browser: Browser, tmp_path: Path) -
             np.testing.assert_array_equal(kept(directory, page).field, before.field)
             page.keyboard.press("p")
             until(page, lambda: facts(page)["setup"].startswith("1 of "))
-            for name, made in (("Export", "export-0"), ("Apply", "deformed.vtp")):
+            for name, made in (("Export", "exported: "), ("Apply", "written: ")):
                 page.get_by_role("button", name=name).click()
-                until(page, lambda made=made: made in get(page, "written") or problem(page))
+                until(page, lambda made=made: str(get(page, "written")).startswith(made) or problem(page))
                 assert problem(page) == ""
             with opened_mesh(directory / "run" / "deformed.vtp") as deformed:
                 moved = np.linalg.norm(deformed.points - before.vertices, axis=1).max()
@@ -411,7 +411,9 @@ def test_a_killed_studio_offers_what_it_kept(browser: Browser, tmp_path: Path) -
     np.testing.assert_allclose(field, expected, atol=1e-12)
     shifted = trimesh.Trimesh(before.vertices + np.array([0.0, 0.0, 0.02]), before.triangles, process=False)
     away = cKDTree(shifted.sample(200_000, seed=0)).query(before.vertices)[0]
-    np.testing.assert_allclose(np.linalg.norm(to_target, axis=1), away, atol=4e-4)
+    closest = np.linalg.norm(to_target, axis=1)  # no farther than the closest of many points of the target
+    assert (closest < away + 1e-9).all()
+    assert (away - closest).max() < 2e-3
     assert np.abs(to_target).max() > 0.015
 
 

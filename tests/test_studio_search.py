@@ -404,8 +404,8 @@ def test_apply_deforms_the_file_as_the_page_shows_it(
     with opened_mesh(out) as deformed:
         np.testing.assert_allclose(deformed.points, shape.look(pulls).vertices, atol=1e-12)
     assert saving.apply(found, 2, shape.weights(pulls), found.run / saving.MESH).name == "deformed-2.vtp"
-    assert "export" in saving.export(found, 2)
-    assert (found.run / "export-2" / "centers.csv").exists()
+    assert (saving.export(found, 2) / "centers.csv").exists()
+    assert saving.export(found, 2).name == "export-2-2"
 
 
 def test_what_cannot_be_saved_is_said_in_a_line(saved: tuple[State, saving.Saved], tmp_path: Path) -> None:

@@ -384,7 +384,7 @@ class Studio:
     def export(self) -> None:
         """Export the chosen setup."""
         row = self.chosen.row or 0
-        self._write(lambda saved: saving.export(saved, row).strip().splitlines()[-1])
+        self._write(lambda saved: f"exported: {saving.export(saved, row)}")
 
     def apply(self) -> None:
         """Deform the file that the painting began with, as it is shown."""

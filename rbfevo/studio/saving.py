@@ -54,14 +54,15 @@ def save(run: Path, state: State) -> Saved:
     return Saved(run, shlex.join(scores), shlex.join(searches))
 
 
-def export(saved: Saved, row: int) -> str:
-    """Export a setup of a saved run; return what was printed.
+def export(saved: Saved, row: int) -> Path:
+    """Export a setup of a saved run; return the directory.
 
     Raises:
         UserError: if that fails.
     """
     out = free(saved.run / f"export-{row}")
-    return carried_out(["rbfevo.export", str(saved.run), "--pick", f"index:{row}", "--out", str(out)])
+    carried_out(["rbfevo.export", str(saved.run), "--pick", f"index:{row}", "--out", str(out)])
+    return out
 
 
 def apply(saved: Saved, row: int, weights: Array, mesh: Path) -> Path:
@@ -89,8 +90,8 @@ def free(path: Path) -> Path:
     return found
 
 
-def carried_out(arguments: Sequence[str]) -> str:
-    """Carry out `python -m` with these arguments; return what it printed.
+def carried_out(arguments: Sequence[str]) -> None:
+    """Carry out `python -m` with these arguments.
 
     Raises:
         UserError: with the line that it ended with, if it failed.
@@ -98,4 +99,3 @@ def carried_out(arguments: Sequence[str]) -> str:
     done = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise UserError((done.stderr.strip().splitlines() or [f"{arguments[0]} ended with {done.returncode}"])[-1])
-    return done.stdout
