@@ -14,6 +14,7 @@ from benchmarks.panels import PANELS, Panel
 from rbfevo.__main__ import main as rbfevo
 from reproduction.budgets import Budget
 
+PAPER = COMMITTED / "paper"  # fronts after the paper's own budget, as far as they were computed
 PREFERENCES = tuple(i / 10 for i in range(11))
 POPULATION = 100
 GENERATIONS = 1_000  # the paper's, of CMA-ES
@@ -120,7 +121,7 @@ def fronts_directory(out: Path) -> Path:
 def reference(panel: Panel, seed: int, budget: Budget, out: Path) -> Reference | None:
     """The NSGA-II search of an existing front, preferably the repository's; None if there is no front."""
     overrides = budget.overrides(panel.scenario)
-    for directory in (fronts_directory(out),) if overrides else (COMMITTED, fronts_directory(out)):
+    for directory in (fronts_directory(out),) if overrides else (COMMITTED, PAPER, fronts_directory(out)):
         held = Reference(panel, seed, directory, *overrides)
         if held.csv(budget.evaluations).exists():
             return held
@@ -131,9 +132,11 @@ def compute_front(panel: Panel, seed: int, budget: Budget, out: Path, report: Ca
     """Compute a missing front, continuing from the state of a smaller budget in `out` or in the repository."""
     directory, overrides = fronts_directory(out), budget.overrides(panel.scenario)
     directory.mkdir(parents=True, exist_ok=True)
-    own, committed = Reference(panel, seed, directory, *overrides), Reference(panel, seed)
-    if not own.path.exists() and committed.path.exists() and not overrides:
-        shutil.copyfile(committed.path, own.path)
+    own = Reference(panel, seed, directory, *overrides)
+    states = [] if overrides else [Reference(panel, seed, place).path for place in (PAPER, COMMITTED)]
+    begun = next((path for path in states if path.exists()), None)
+    if not own.path.exists() and begun is not None:
+        shutil.copyfile(begun, own.path)
     own.compute(budget.evaluations // POPULATION - 1, report)
 
 

@@ -101,6 +101,10 @@ def test_committed_fronts_are_used_where_they_fit() -> None:
     assert reference is not None
     assert reference.directory == runs.COMMITTED
     assert runs.reference(PANELS[0], 0, SMALL, Path("nowhere")) is None
+    whole = runs.reference(PANELS[0], 0, BUDGETS["paper"], Path("nowhere"))
+    assert whole is not None
+    assert whole.directory == runs.PAPER
+    assert "# evaluations: 2500000" in whole.csv(2_500_000).read_text()
 
 
 @pytest.mark.parametrize(

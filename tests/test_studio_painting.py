@@ -13,6 +13,7 @@ from rbfevo.geometry.mirror import Mirror
 from rbfevo.studio.brush import Brush, Spot, reach, reached
 from rbfevo.studio.painting import Painting
 from rbfevo.studio.picking import Camera, Surface
+from rbfevo.studio.scene import CLAY, HELD, PULLED, PUSHED, Scene, colors_of
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -263,3 +264,36 @@ def test_rays_hit_the_nearest_triangle() -> None:
         np.testing.assert_allclose(found.normal, normal / np.linalg.norm(normal), atol=1e-10)
         hits += 1
     assert 5 < hits < 40
+
+
+def test_colours_tell_which_way_and_what_stays() -> None:
+    vertices, triangles = painted.plate()
+    normals = np.tile(UP, (len(vertices), 1))
+    field, held = np.zeros_like(vertices), np.zeros(len(vertices), bool)
+    field[0], field[1], field[2], held[3] = (0.0, 0.0, 0.4), (0.0, 0.0, -0.4), (0.0, 0.0, 0.1), True
+    colors = colors_of(field, normals, held).astype(int)
+    assert colors[0].tolist() == list(PULLED)
+    assert colors[1].tolist() == list(PUSHED)
+    assert colors[3].tolist() == list(HELD)
+    assert colors[4].tolist() == list(CLAY)
+    np.testing.assert_allclose(colors[2], (np.array(PULLED) + CLAY) / 2.0, atol=0.51)  # the root of a quarter
+    assert len(triangles)
+
+
+def test_what_has_not_changed_is_not_sent_again() -> None:
+    vertices, triangles = painted.ball(2)
+    scene = Scene(vertices, triangles, "z")
+    colors = colors_of(np.zeros_like(vertices), vertices, np.zeros(len(vertices), bool))
+    scene.paint(colors)
+    times = [scene._surface.GetMTime()]
+    for act in (
+        lambda: scene.show(vertices),
+        lambda: scene.paint(colors.copy()),
+        lambda: scene.show(vertices + 0.1, smooth=False),
+        lambda: scene.show(vertices + 0.1),  # the normals are those of before until now
+        lambda: scene.show(vertices + 0.1),
+        lambda: scene.paint(colors // 2),
+    ):
+        act()
+        times.append(scene._surface.GetMTime())
+    assert (np.diff(times) > 0).tolist() == [False, False, True, True, False, True]

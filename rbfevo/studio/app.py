@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 import logging
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -32,7 +33,8 @@ from rbfevo.studio.writer import Writer
 if TYPE_CHECKING:
     from rbfevo.studio.searching import Front
 
-KEPT_EVERY = 3.0  # seconds
+KEPT_EVERY = 3.0  # seconds, or longer on large meshes:
+SPARING = 10.0  # times what writing takes
 ASKED = (
     *("press", "drag", "release", "key", "stop", "clear", "let_go"),
     *("go_on", "begin_anew", "save", "export", "apply"),
@@ -335,9 +337,12 @@ class Studio:
 
     async def keep_often(self) -> None:
         """Keep the state on disk every few seconds, where it has changed."""
+        spent = 0.0
         while True:
-            await asyncio.sleep(KEPT_EVERY)
+            await asyncio.sleep(max(KEPT_EVERY, SPARING * spent))
+            begin = time.monotonic()
             await self.keep_now()
+            spent = time.monotonic() - begin
 
     async def keep_now(self) -> None:
         """Keep the state on disk, if it has changed."""

@@ -27,6 +27,9 @@ class Scene:
         from vtkmodules.vtkRenderingCore import vtkRenderer
 
         self._triangles = triangles
+        self._shown: Points | None = None  # what the surface has now, and whether its normals are those of it
+        self._smooth = True
+        self._painted: NDArray[np.uint8] | None = None
         self.diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
         self._surface = polydata(vertices.astype(np.float32), triangles, {})
         self._points = polydata(np.zeros((1, 3)), None, {})
@@ -75,6 +78,10 @@ class Scene:
         """
         from vtkmodules.util.numpy_support import numpy_to_vtk
 
+        same = self._shown is not None and np.array_equal(vertices, self._shown)
+        if same and (self._smooth or not smooth):
+            return  # what has not changed is not sent again
+        self._shown, self._smooth = vertices.copy(), smooth
         self._surface.GetPoints().SetData(numpy_to_vtk(np.ascontiguousarray(vertices, np.float32), deep=True))
         if smooth:
             normals = topology.vertex_normals(vertices, self._triangles).astype(np.float32)
@@ -85,7 +92,9 @@ class Scene:
 
     def paint(self, colors: NDArray[np.uint8]) -> None:
         """Let the surface have these colours [n, 3]."""
-        _colored(self._surface, colors)
+        if self._painted is None or not np.array_equal(colors, self._painted):
+            self._painted = colors.copy()
+            _colored(self._surface, colors)
 
     def show_centers(self, centers: Points, images: NDArray[np.bool_] | None = None, held: int | None = None) -> None:
         """Draw control points [q, 3] as balls, mirror images paler; `held` is the one that is pulled."""
