@@ -112,7 +112,8 @@ def frames(page: Any, directory: Path) -> dict[str, float]:
     shown = Chosen(state.share)
     shown.take(record, float(np.linalg.norm(state.field)), state.centers[state.chosen])
     seen = Camera.of(*studios.camera(page))
-    places = seen.places(shown.places()[0])
+    now, images = shown.places()
+    places = seen.places(now[~images])
     x, y = places[int(np.abs(places - 0.5).max(axis=1).argmin())]
     page.evaluate(
         "() => { window.frames = 0; const tick = () => { window.frames += 1; requestAnimationFrame(tick); }; tick(); }"
