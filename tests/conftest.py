@@ -20,8 +20,18 @@ if TYPE_CHECKING:
 # With two processes (scripts/test) a process takes one file after the other, in this order: files of which a test waits
 # or computes for long come first, so that both processes end at about the same time.
 FIRST = (
-    *("test_cluster", "test_report_page", "test_jobs", "test_main", "test_openfoam_examples", "test_keep", "test_step"),
-    *("test_figures", "test_evaluator", "test_how_many", "test_plugins", "test_kills", "test_docs", "test_elastic"),
+    *("test_studio_page", "test_cluster", "test_report_page", "test_jobs", "test_main", "test_openfoam_examples"),
+    *(
+        "test_keep",
+        "test_step",
+        "test_figures",
+        "test_evaluator",
+        "test_how_many",
+        "test_plugins",
+        "test_kills",
+        "test_docs",
+        "test_elastic",
+    ),
 )
 
 

@@ -273,7 +273,7 @@ def test_files_that_do_not_fit_are_refused_in_a_line(
         (plain, bent, "control points are up to 0.1 away from those of an undeformed box"),
         (plain, far, "no vertex of the design lies in its box"),
         (plain, text_file, "unknown ending '.stl'; a lattice can be xyz, cfg, su2, prm, vts, or an export"),
-        (plain, tmp_path, "this directory has no setup.npz"),
+        (plain, tmp_path, "this directory has neither centers.csv of an export nor other CSV files"),
         (plain, runs / "plain", "this is a run, with many setups"),
         (plain, runs / "inner-export", "its lattice is [5, 5, 5], and that of the run [4, 3, 3]"),
         (

@@ -130,7 +130,7 @@ def test_a_directory_stands_for_its_files_in_natural_order(tmp_path: Path) -> No
     assert record.label.tolist() == ["setup-1", "setup-2", "setup-10"]
     np.testing.assert_array_equal(record.centers, [written[f"setup-{n}"] for n in ("1.CSV", "2.csv", "10.csv")])
     (tmp_path / "empty").mkdir()
-    with pytest.raises(UserError, match=r"neither centers\.csv nor other files with control points"):
+    with pytest.raises(UserError, match=r"neither centers\.csv of an export nor other CSV files"):
         GivenCenters(centers=str(tmp_path / "empty"))
 
 

@@ -17,7 +17,7 @@ import painted
 import pytest
 import trimesh
 from browsers import serious
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from studios import (
     Running,
     camera,
@@ -410,10 +410,11 @@ def test_a_killed_studio_offers_what_it_kept(browser: Browser, tmp_path: Path) -
     expected = painted.bump(before.vertices, (0.5, 0.0, 0.3))[:, 2:] * normals
     np.testing.assert_allclose(field, expected, atol=1e-12)
     shifted = trimesh.Trimesh(before.vertices + np.array([0.0, 0.0, 0.02]), before.triangles, process=False)
-    away = cKDTree(shifted.sample(200_000, seed=0)).query(before.vertices)[0]
+    away = KDTree(shifted.sample(200_000, seed=0)).query(before.vertices)[0]
     closest = np.linalg.norm(to_target, axis=1)  # no farther than the closest of many points of the target
     assert (closest < away + 1e-9).all()
-    assert (away - closest).max() < 2e-3
+    assert (away - closest).max() < 6e-3
+    assert (away - closest)[closest > 0.01].max() < 1e-3
     assert np.abs(to_target).max() > 0.015
 
 

@@ -20,7 +20,7 @@ class GivenCenters(Heuristic):
 
     Args:
         centers: a file, or a list of files, as `rbfevo.scenarios.control_points.read_centers` takes them; a directory
-            that is no export stands for the files in it.
+            that is no export stands for the CSV files in it.
 
     Attributes:
         files: these; labels: [p] a short name of each; inputs: [p, m, d] their centers, once `bring` has read them.

@@ -19,7 +19,7 @@ from rbfevo.arrays import Array
 from rbfevo.errors import UserError
 from rbfevo.geometry.mirror import ON_PLANE, Mirror
 from rbfevo.geometry.planar import LAYER
-from rbfevo.meshes.control_points import EXPORTED, PARAMETERS, POINTS, TABLES, ControlPoints, read_control_points
+from rbfevo.meshes.control_points import EXPORTED, ControlPoints, read_control_points
 from rbfevo.names import existing_home, natural
 from rbfevo.scenarios.scenario import Scenario
 
@@ -49,21 +49,20 @@ def read_centers(path: str, scenario: Scenario) -> Placed:
         raise UserError(f"{path}: {error}") from None
 
 
-def files_in(path: str | Path) -> tuple[str, ...]:
-    """The files of setups that a path stands for: of a directory that is no export all of its files, by their names.
+def files_in(path: str) -> tuple[str, ...]:
+    """The files of setups that a path stands for: of a directory that is no export its CSV files, by their names.
 
     Any other path stands for itself, also where there is nothing.
 
     Raises:
-        UserError: if the directory has no file with control points.
+        UserError: if the directory has no such file.
     """
     directory = existing_home(path)
-    if not directory.is_dir() or any((directory / name).exists() for name in (*EXPORTED, "setups.npz")):
-        return (str(path),)
-    endings = (*TABLES, *POINTS, PARAMETERS)
-    found = [file for file in directory.iterdir() if file.is_file() and file.suffix.lower() in endings]
+    if not directory.is_dir() or any((directory / name).exists() for name in (*EXPORTED, "setup.npz", "setups.npz")):
+        return (path,)
+    found = [file for file in directory.iterdir() if file.is_file() and file.suffix.lower() == ".csv"]
     if not found:
-        raise UserError(f"{path}: this directory has neither {EXPORTED[0]} nor other files with control points")
+        raise UserError(f"{path}: this directory has neither {EXPORTED[0]} of an export nor other CSV files")
     return tuple(str(Path(path) / file.name) for file in sorted(found, key=lambda file: natural(file.name)))
 
 
