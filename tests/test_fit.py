@@ -8,7 +8,7 @@ import json
 import shutil
 import signal
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -469,7 +469,7 @@ def test_a_fit_from_end_to_end(
     np.testing.assert_array_equal(mesh.faces, origin.scenario.faces.numpy())
     left = residuals(origin.scenario, torch.from_numpy(u)).norm(dim=1).numpy()
     np.testing.assert_allclose(arrays["local_error"], left, atol=1e-12)
-    phi = numpy_phi(origin.kernel, cdist(arrays["centers"], arrays["centers"]))
+    phi = numpy_phi(cast(Kernel, origin.kernel), cdist(arrays["centers"], arrays["centers"]))
     field = phi @ arrays["weights"]
     moved = arrays["centers"] + field if name == "face" else np.concatenate([arrays["centers"], field], axis=1)
     np.testing.assert_allclose(arrays["moved_centers"], moved, atol=1e-9)

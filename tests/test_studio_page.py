@@ -414,7 +414,7 @@ def test_a_killed_studio_offers_what_it_kept(browser: Browser, tmp_path: Path) -
     closest = np.linalg.norm(to_target, axis=1)  # no farther than the closest of many points of the target
     assert (closest < away + 1e-9).all()
     assert (away - closest).max() < 6e-3
-    assert (away - closest)[closest > 0.01].max() < 1e-3
+    assert (away - closest)[closest > 0.01].max() < 2e-3
     assert np.abs(to_target).max() > 0.015
 
 

@@ -173,9 +173,14 @@ class Studio:
         """What a pointer works on now."""
         return Canvas(self.painting, self.chosen, self.page.mode == "pull", self.brush, self.mirror)
 
-    def press(self, window: str, camera: Any, x: float, y: float, aspect: float) -> bool:
-        """A pointer goes down; return whether it paints or pulls, and does not turn the view."""
+    def press(self, window: str, brush: dict[str, Any], camera: Any, x: float, y: float, aspect: float) -> bool:
+        """A pointer goes down; return whether it paints or pulls, and does not turn the view.
+
+        Args:
+            brush: as the window has it, from which news may still be on the way.
+        """
         self.page.problem = ""
+        self.page.update({name: brush[name] for name in layout.BRUSH if name in brush})
         taken = self.gestures.press(window, camera, x, y, aspect)
         if taken:
             self._show(smooth=False)

@@ -3,6 +3,7 @@
   const me = crypto.randomUUID(); // one window of perhaps several
   const letters = { k: "knee", r: "best-regularity", p: "best-improvement-potential", b: "paint", g: "pull", v: "view" };
   const arrows = { ArrowLeft: "left", ArrowRight: "right" };
+  const BRUSH = ["action", "radius", "strength", "edge", "direction"];
   let gesture = null;
 
   const ask = (name, ...values) => window.trame.trigger(name, values);
@@ -34,24 +35,31 @@
     }
     if (current.over) {
       await ask("release", me);
-      if (gesture === current) gesture = null;
+      end(current);
     }
     current.sending = false;
-    if (current.places.length) send(current);
+  }
+
+  /** A gesture has come to its end, and the next one may begin. */
+  function end(current) {
+    if (gesture === current) gesture = null;
+    current.finish();
   }
 
   async function press(event) {
     if (event.replayed || event.button !== 0 || event.ctrlKey || event.shiftKey || event.altKey || event.metaKey || !event.target.closest?.("#stage")) return;
     event.stopImmediatePropagation();
-    if (gesture) return;
-    const box = stage().getBoundingClientRect();
+    const box = stage().getBoundingClientRect(), before = gesture?.finished;
     const current = (gesture = { id: event.pointerId, target: event.target, events: [event], places: [], mine: false, sending: false, over: false });
+    current.finished = new Promise((done) => { current.finish = done; });
+    await before; // on a busy machine the server may still be at the last stroke
     try {
-      current.mine = await ask("press", me, window.trame.refs.view.getCamera(), ...place(event), box.width / box.height);
+      const brush = Object.fromEntries(BRUSH.map((name) => [name, window.trame.state.get(name)])); // which may not have been sent yet
+      current.mine = await ask("press", me, brush, window.trame.refs.view.getCamera(), ...place(event), box.width / box.height);
     } catch { /* the connection is gone, and the page says so */ }
     if (current.mine) send(current);
     else {
-      gesture = null;
+      end(current);
       replay(current);
     }
   }
