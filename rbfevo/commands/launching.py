@@ -104,6 +104,7 @@ def remaining() -> Iterator[None]:
     make = plugins.instantiate_sweeper
 
     def made(**arguments: Any) -> Sweeper:
+        """The sweeper of a plugin, whose launcher leaves out the jobs that are done."""
         sweeper = make(**arguments)
         launcher = getattr(sweeper, "launcher", None)
         if launcher is not None:

@@ -149,6 +149,7 @@ def _stepped(record: Record, chosen: Setup, rule: str, size: float, kept: Sequen
     if found is _max_norm:
 
         def bounded(still: Sequence[int]) -> Candidate:
+            """The max-norm step under which the kept fields `still` do not change, and its gain for its length."""
             weights = _max_norm(record, chosen, rising, size, [kept[i] for i in still])
             displacement = chosen.displacement(record.vertices, weights)
             length = norm(displacement / _shares(record, size)[:, None], _areas(record), NORM) or 1.0
@@ -171,6 +172,7 @@ def _linear(
     moves = [(weights, chosen.displacement(record.vertices, weights)) for weights in map(weights_of, (rising, *kept))]
 
     def solve(still: Sequence[int]) -> Candidate:
+        """The best step under which the kept fields `still` do not change, and its gain for its length."""
         weights, displacement = moves[0]
         others = [moves[1 + i] for i in still]
         gains = np.array([[gain_of(kept[i], other) for _, other in others] for i in still]).reshape(

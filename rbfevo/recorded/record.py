@@ -352,6 +352,7 @@ def _arrays(
     shared: dict[bytes, dict[str, Array]] | None = None,
 ) -> dict[str, Array]:
     def load(path: Path) -> dict[str, Array]:
+        """The arrays of an archive, by name; those of an equal file that was read before are shared."""
         content = path.read_bytes()
         known = hashlib.blake2b(content).digest()
         if shared is not None and known in shared:

@@ -111,7 +111,7 @@ async def served(studio: Studio, announce: Callable[[str], None]) -> int:
         serving.cancel()
 
     for number in (signal.SIGINT, signal.SIGTERM):
-        with contextlib.suppress(NotImplementedError):  # on Windows
+        with contextlib.suppress(NotImplementedError):  # Windows has none: Ctrl-C is then a KeyboardInterrupt
             asyncio.get_running_loop().add_signal_handler(number, stop, number)
     with contextlib.suppress(asyncio.CancelledError):
         await serving

@@ -12,7 +12,7 @@ from rbfevo.studio.painting import Painting
 from rbfevo.studio.picking import Camera, Surface
 from rbfevo.studio.pulling import Chosen, Grip
 
-IDLE = 10.0  # seconds without a word, after which another window may take over
+IDLE = 10.0  # seconds without an event, after which another window may take over
 
 
 class Canvas(NamedTuple):
@@ -34,7 +34,7 @@ class Gestures:
     """The strokes and pulls of all windows.
 
     Args:
-        surface: that rays hit; canvas: tells what a pointer works on now.
+        surface: that rays hit; canvas: returns what a pointer works on now.
         ended: is called after a gesture: True if something was painted, False if something was pulled.
     """
 

@@ -92,7 +92,7 @@ class SearchProcess:
 
 
 def serve(connection: Connection, vertices: Points, triangles: Triangles, file: Path, choices: Choices) -> None:
-    """What the process does: take tasks, send fronts, until it is told to end or the other side is gone."""
+    """What the process does: take tasks, send fronts, until it is asked to end or the studio is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the program that has started it
     from rbfevo.studio.searching import Search
 

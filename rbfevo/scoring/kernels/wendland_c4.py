@@ -21,6 +21,7 @@ class WendlandC4(Compact):
         return u * u * u * ((35.0 * q + 18.0) * q + 3.0) / 3.0
 
     def slope(self, r: Any) -> Any:
+        """phi'(r)/r = -56/(3 s^2) (1 - q)^5 (5 q + 1) with q = r/s, and 0 from s on."""
         q = (r / self._radius).clip(max=1.0)
         u = 1.0 - q
         u2 = u * u

@@ -349,6 +349,7 @@ class FFD(Representation):
         sizes = [len(layers) for layers in self.layers]
 
         def columns(candidates: Tensor) -> Tensor:
+            """Columns [n, q] of the control points nearest to candidates [q, d]; 0 outside the box."""
             index = np.unravel_index(_nearest(candidates, every).numpy(), sizes)
             found = inside.to(points)[:, None].expand(-1, len(candidates)).clone()
             for one, along in zip(values, index, strict=True):
