@@ -287,7 +287,12 @@ def test_choices_change_what_is_searched(painted_page: Painted) -> None:
     settled(page)
     page.get_by_label("Kernel").select_option("gaussian")
     until(page, lambda: get(page, "length") == "Scale")
+    until(page, lambda: get(page, "busy"))
     settled(page)
+    vertices = kept(directory, page).vertices
+    sides = np.ptp(vertices, axis=0)
+    support = 0.15 * np.linalg.norm(sides + 0.1 * np.linalg.norm(sides))  # of the box, 5 % wider on each side
+    assert get(page, "kernel_length") == f"{support / 2:.4g}"  # of a Gaussian: half of it
     page.get_by_label("Scale").fill("nonsense")
     page.get_by_label("Scale").press("Tab")
     until(page, lambda: "give numbers" in problem(page))

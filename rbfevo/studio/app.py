@@ -311,6 +311,7 @@ class Studio:
     def _found(self, front: Front) -> None:
         """A new front of what is painted now."""
         size = float(np.linalg.norm(np.where(self.painting.held[:, None], 0.0, self.painting.field)))
+        self.page.kernel_length = layout.kernel_length(front.record)
         (at, moved), self._shown = self._shown, (None, None)
         self.chosen.take(front.record, size, at)
         if moved is not None:

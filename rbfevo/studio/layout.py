@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rbfevo.recorded.record import Record
 from rbfevo.scenarios.templates import Template
 from rbfevo.studio import frontier
 from rbfevo.studio.brush import DIRECTIONS
@@ -32,7 +33,6 @@ HINTS = {
     "paint": "Drag on the surface to paint where it should move.",
     "pull": "Drag a control point to pull it.",
 }
-MARGIN, SUPPORT = 0.05, 0.15  # of conf/scenario/mesh.yaml: of the box, and of the default support radius
 
 
 def variables(state: State, template: Template | None, directory: Path) -> dict[str, Any]:
@@ -41,9 +41,7 @@ def variables(state: State, template: Template | None, directory: Path) -> dict[
     Args:
         template: of a mesh that can be deformed, with its point arrays, or None; directory: to save into at first.
     """
-    sides = np.ptp(state.vertices, axis=0)
-    diagonal = float(np.linalg.norm(sides))
-    default = SUPPORT * float(np.linalg.norm(sides + 2.0 * MARGIN * diagonal))
+    diagonal = float(np.linalg.norm(np.ptp(state.vertices, axis=0)))
     return {
         "title": Path(state.source).name,
         "mode": "paint",
@@ -58,7 +56,7 @@ def variables(state: State, template: Template | None, directory: Path) -> dict[
         "problem": "",
         "announcement": "",
         "diagonal": f"{diagonal:.4g}",
-        "default_radius": f"{default:.4g}",
+        "kernel_length": "",
         "found": False,
         "busy": False,
         "progress": 0.0,
@@ -89,6 +87,13 @@ def of_choices(choices: Choices) -> dict[str, Any]:
     found |= {"centers": choices.centers, "symmetry": choices.symmetry or ""}
     lengths = {"support": "Support radius", "scale": "Scale"}
     return {**found, "length": lengths.get(LENGTHS.get(choices.kernel, ""), "")}
+
+
+def kernel_length(record: Record) -> str:
+    """The support radius or scale that a search has used, or nothing of a kernel that has none."""
+    numbers = record.summary["representation"].get("kernel", {})
+    found = [numbers[key] for key in set(LENGTHS.values()) if key in numbers]
+    return f"{found[0]:.4g}" if found else ""
 
 
 def starts_of(template: Template | None) -> list[str]:
