@@ -153,10 +153,15 @@ def facts(page: Page) -> dict[str, str]:
     return dict(get(page, "facts"))
 
 
+def typed(page: Page, label: str, text: object) -> None:
+    """Type into a field and leave it, which is when the page takes it."""
+    page.get_by_label(label).fill(str(text))
+    page.get_by_label(label).press("Tab")
+
+
 def saved_as(page: Page, directory: Path) -> None:
     """Save into a directory, and wait until that is done."""
-    page.get_by_label("Directory").fill(str(directory))
-    page.get_by_label("Directory").press("Tab")
+    typed(page, "Directory", directory)
     until(page, lambda: get(page, "directory") == str(directory))
     page.get_by_role("button", name="Save").click()
     until(page, lambda: str(get(page, "written")).startswith("saved") or problem(page))

@@ -30,6 +30,7 @@ from studios import (
     saved_as,
     settled,
     stroke,
+    typed,
     until,
     window,
 )
@@ -281,8 +282,7 @@ def test_a_stroke_during_a_search_takes_its_place(painted_page: Painted) -> None
 
 def test_choices_change_what_is_searched(painted_page: Painted) -> None:
     page, _, directory, _ = painted_page
-    page.get_by_label("Control points").fill("3")
-    page.get_by_label("Control points").press("Tab")
+    typed(page, "Control points", "3")
     until(page, lambda: get(page, "busy"))
     settled(page)
     page.get_by_label("Kernel").select_option("gaussian")
@@ -293,22 +293,18 @@ def test_choices_change_what_is_searched(painted_page: Painted) -> None:
     sides = np.ptp(vertices, axis=0)
     support = 0.15 * np.linalg.norm(sides + 0.1 * np.linalg.norm(sides))  # of the box, 5 % wider on each side
     assert get(page, "kernel_length") == f"{support / 2:.4g}"  # of a Gaussian: half of it
-    page.get_by_label("Scale").fill("nonsense")
-    page.get_by_label("Scale").press("Tab")
+    typed(page, "Scale", "nonsense")
     until(page, lambda: "give numbers" in problem(page))
-    page.get_by_label("Scale").fill("0.5")
-    page.get_by_label("Scale").press("Tab")
+    typed(page, "Scale", "0.5")
     until(page, lambda: problem(page) == "")
     settled(page)
     state = kept(directory, page)
     assert state.choices == Choices(kernel="gaussian", radius=0.5, centers=3)
     assert state.centers.shape[1:] == (3, 3)
     page.get_by_label("Kernel").select_option("wendland")
-    page.get_by_label("Control points").fill("5000")
-    page.get_by_label("Control points").press("Tab")
+    typed(page, "Control points", "5000")
     until(page, lambda: "5000" in problem(page))
-    page.get_by_label("Control points").fill("4")
-    page.get_by_label("Control points").press("Tab")
+    typed(page, "Control points", "4")
     until(page, lambda: problem(page) == "")
     settled(page)
 
@@ -371,8 +367,7 @@ def test_a_killed_studio_offers_what_it_kept(browser: Browser, tmp_path: Path) -
     directory = tmp_path / "kept"
     with running(mesh, "--directory", directory) as studio:
         with window(browser, studio, []) as page:
-            page.get_by_label("Control points").fill("3")
-            page.get_by_label("Control points").press("Tab")
+            typed(page, "Control points", "3")
             stroke(page, *MIDDLE)
             settled(page)
             before, shown = kept(directory, page), front(page)
@@ -407,11 +402,9 @@ def test_a_killed_studio_offers_what_it_kept(browser: Browser, tmp_path: Path) -
             vertices, triangles = painted.ball()
             nothing = np.zeros_like(vertices), np.zeros(len(vertices), bool)
             write_mesh(tmp_path / "target.vtp", vertices + np.array([0.0, 0.0, 0.02]), triangles, *nothing)
-            page.get_by_label("Target shape").fill(str(tmp_path / "none.vtp"))
-            page.get_by_label("Target shape").press("Tab")
+            typed(page, "Target shape", str(tmp_path / "none.vtp"))
             until(page, lambda: "no such file" in problem(page))
-            page.get_by_label("Target shape").fill(str(tmp_path / "target.vtp"))
-            page.get_by_label("Target shape").press("Tab")
+            typed(page, "Target shape", str(tmp_path / "target.vtp"))
             until(page, lambda: get(page, "target") == "")
             to_target = kept(directory, page).field
         assert studio.stop(signal.SIGINT) == 130
