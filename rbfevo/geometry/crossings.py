@@ -12,7 +12,7 @@ from rbfevo.arrays import Points, Triangles
 _BLOCK, _ROUNDING = 200_000, 1e-12
 
 
-_LAST: dict[bytes, NDArray[np.int64]] = {}  # of the last surface: the studio builds its design again and again
+_LAST: dict[bytes, NDArray[np.int64]] = {}  # of the last surface: a design is often built again with other settings
 
 
 def piercing_edges(vertices: Points, triangles: Triangles, edges: NDArray[np.int64]) -> NDArray[np.int64]:

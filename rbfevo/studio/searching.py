@@ -89,7 +89,7 @@ class Search:
         self._arrays: dict[str, Array] = {}
 
     def prepare(self, choices: Choices) -> None:
-        """Build a design with some field or other, so that the first stroke does not wait for that.
+        """Build the design with its normals as the field, so that the first stroke does not wait for that.
 
         Raises:
             UserError: if the mesh or the choices cannot be searched.
