@@ -119,11 +119,14 @@ def fronts_directory(out: Path) -> Path:
 
 
 def reference(panel: Panel, seed: int, budget: Budget, out: Path) -> Reference | None:
-    """The NSGA-II search of an existing front, preferably the repository's; None if there is no front."""
+    """The NSGA-II search of an existing front, preferably the repository's; None if there is no front.
+
+    A front counts only with its state: figures need its centers, which the front's file does not have.
+    """
     overrides = budget.overrides(panel.scenario)
     for directory in (fronts_directory(out),) if overrides else (COMMITTED, PAPER, fronts_directory(out)):
         held = Reference(panel, seed, directory, *overrides)
-        if held.csv(budget.evaluations).exists():
+        if held.csv(budget.evaluations).exists() and held.path.exists():
             return held
     return None
 

@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from studies import TINY, began, full_study
 
+from benchmarks.fronts import Reference, reference_front
 from benchmarks.panels import PANELS
+from rbfevo.scoring.pareto import hypervolume
 from reproduction import __main__ as command
 from reproduction import runs
 from reproduction.budgets import BUDGETS, budget_named
@@ -101,10 +103,29 @@ def test_committed_fronts_are_used_where_they_fit() -> None:
     assert reference is not None
     assert reference.directory == runs.COMMITTED
     assert runs.reference(PANELS[0], 0, SMALL, Path("nowhere")) is None
-    whole = runs.reference(PANELS[0], 0, BUDGETS["paper"], Path("nowhere"))
-    assert whole is not None
-    assert whole.directory == runs.PAPER
-    assert "# evaluations: 2500000" in whole.csv(2_500_000).read_text()
+
+
+def test_a_front_counts_only_with_its_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paper = tmp_path / "paper"
+    paper.mkdir()
+    monkeypatch.setattr(runs, "PAPER", paper)
+    own = Reference(PANELS[0], 0, paper)
+    own.csv(2_500_000).write_text("# evaluations: 2500000\n")
+    assert runs.reference(PANELS[0], 0, BUDGETS["paper"], tmp_path / "nowhere") is None
+    own.path.touch()
+    found = runs.reference(PANELS[0], 0, BUDGETS["paper"], tmp_path / "nowhere")
+    assert found is not None
+    assert found.directory == paper
+
+
+@pytest.mark.parametrize("path", sorted(runs.PAPER.glob("*.csv")), ids=lambda path: path.stem)
+def test_fronts_at_the_papers_budget_have_their_states(path: Path) -> None:
+    name, seed, evaluations = path.stem.rsplit("-", 2)
+    (panel,) = [panel for panel in PANELS if panel.name == name]
+    reference = Reference(panel, int(seed.removeprefix("seed")), runs.PAPER)
+    _, objectives = reference.population(int(evaluations))
+    front = reference_front(panel, int(evaluations), reference.seed, runs.PAPER)
+    assert hypervolume(front) == pytest.approx(hypervolume(objectives), rel=1e-6)
 
 
 @pytest.mark.parametrize(
