@@ -77,11 +77,13 @@ def test_log_to_two_units_in_the_last_place() -> None:
 def test_rows_are_the_kernels(code: int, kernel: Kernel) -> None:
     r = torch.cat([torch.zeros(3), torch.logspace(-14, 2, 400), torch.linspace(0.4, 1.1, 333)]).double()
     W = 0.5 + torch.rand(len(r), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    row, slopes = np.full(len(r), np.nan), r.square().numpy().copy()
+    row, same, slopes = np.full((3, len(r)), np.nan)
     along = np.stack([r.numpy(), np.zeros(len(r))])
-    fused._fill_row(np.zeros(2), along, 0, len(r), code, kernel.support or 0.0, W.numpy(), row)
-    fused._slope_row(code, kernel.support or 0.0, W.numpy(), slopes)
+    given = np.zeros(2), along, 0, len(r), code, kernel.support or 0.0, W.numpy()
+    fused._fill_row(*given, row)
+    fused._fill_both(*given, same, slopes)
     np.testing.assert_allclose(row, (kernel(r) * W).numpy(), rtol=2e-15, atol=1e-15)
+    np.testing.assert_allclose(same, row, rtol=4e-16, atol=1e-30)
     np.testing.assert_allclose(slopes, (kernel.slope(r) * W).numpy(), rtol=2e-15, atol=1e-14)
     assert (slopes[:3] * 0.0 == 0.0).all()
 
@@ -178,22 +180,23 @@ def test_centers_that_reach_nothing(backend: str) -> None:
 
 
 @pairs
-@pytest.mark.parametrize("sign", [0.0, 1.0, -1.0])
-def test_backward_is_autograds(design: str, kernel: str, sign: float) -> None:
-    """With sign 0 without mirror images; their plane is y = 0.3."""
+@pytest.mark.parametrize(("sign", "m"), [(0.0, 6), (0.0, 15), (1.0, 6), (-1.0, 11)])
+def test_backward_is_autograds(design: str, kernel: str, sign: float, m: int) -> None:
+    """With sign 0 without mirror images; their plane is y = 0.3. Nothing flows through the last setup."""
     built, phi = DESIGNS[design](k=2, weighted=True), KERNELS[design][kernel]
-    m, k, p = 6, 2, 3
+    k, p = 2, 4
     centers = built.centers(p, m)
     centers[1, 2] = built.vertices[5]
     generator = torch.Generator().manual_seed(1)
     dG = torch.randn(p, m, m, generator=generator, dtype=torch.float64)
     db = torch.randn(p, m, k, generator=generator, dtype=torch.float64)
+    dG[2], dG[3], db[3] = 0.0, 0.0, 0.0
     blocks = accumulator(built, phi, "fused").blocks
     X, W, g, starts, low, high = (
         array.numpy() for array in (blocks.X, blocks.W, blocks.g, blocks.starts, blocks.low, blocks.high)
     )
     code = {"wendland": fused.WENDLAND}.get(phi.name, fused.THIN_PLATE if design == "plane" else fused.CUBIC)
-    dC = torch.empty_like(centers)
+    dC = torch.full_like(centers, torch.nan)
     given = (dG + dG.mT).numpy(), db.numpy(), dC.numpy()
 
     def mirrored(C: torch.Tensor) -> torch.Tensor:
@@ -213,6 +216,8 @@ def test_backward_is_autograds(design: str, kernel: str, sign: float) -> None:
     ((Phi.mT @ Phi * dG).sum() + (Phi.mT @ weighted * db).sum()).backward()
     assert C.grad is not None
     assert torch.isfinite(dC).all()
+    assert (dC[:3] != 0).any(dim=2).any(dim=1).all()
+    assert (dC[3] == 0).all()
     torch.testing.assert_close(dC, C.grad, rtol=1e-10, atol=1e-11 * float(C.grad.abs().max()))
 
 

@@ -112,3 +112,33 @@ def test_restarted_elements_forget_and_the_others_do_not() -> None:
     fresh = search.anew(kept)
     assert fresh.points.shape == (2, 5)
     assert torch.isinf(fresh.values).all()
+
+
+def test_gradients_of_points_that_are_not_accepted_are_not_looked_at() -> None:
+    A, middle = quadratics(4, 6, seed=5)
+    searches = [LBFGS(torch.full_like(middle, 0.5), memory=4) for _ in range(2)]
+    rejected = 0
+    for _ in range(60):
+        for search, nan in zip(searches, (False, True), strict=True):
+            away = search.ask() - middle
+            pull = (A @ away[:, :, None])[:, :, 0]
+            values = -0.5 * (away * pull).sum(1)
+            accepted = search.accepts(values)
+            rejected += int((~accepted).sum())
+            search.tell(values, torch.where(accepted[:, None], -pull, torch.nan) if nan else -pull)
+            assert torch.equal(search.accepted, accepted)
+        assert torch.equal(searches[0].points, searches[1].points)
+    assert rejected > 0
+
+
+def test_a_search_goes_on_where_it_was_saved() -> None:
+    A, middle = quadratics(3, 5, seed=6)
+    whole, other = (LBFGS(torch.full_like(middle, 0.5), memory=4) for _ in range(2))
+    climb(whole, A, middle, 7)  # the next pair has its place in the middle of the memory
+    other.load_state_dict(whole.state_dict())
+    part = whole.only(torch.tensor([2, 0]))
+    climb(whole, A, middle, 9)
+    climb(other, A, middle, 9)
+    climb(part, A[[2, 0]], middle[[2, 0]], 9)
+    assert torch.equal(other.points, whole.points)
+    torch.testing.assert_close(part.points, whole.points[[2, 0]], rtol=0, atol=1e-12)

@@ -7,6 +7,7 @@ LAPACK then do the same for the same numbers. `scripts/portability` runs this on
 from __future__ import annotations
 
 import ctypes
+import math
 import os
 import subprocess
 import sys
@@ -67,6 +68,7 @@ OPERATIONS: dict[str, Callable[[Tensor, int], tuple[Tensor, ...]]] = {
     "solve": lambda A, m: (matrices.solve(A, A.mT), matrices.solve(A, A[:, :, :1])),
     "singular values": lambda A, m: (matrices.singular_values(A),),
     "left singular": lambda A, m: matrices.left_singular(A),
+    "left spectrum": lambda A, m: matrices.left_spectrum(A),
     "eigh": lambda A, m: matrices.eigh(matrices.gram(A)),
 }
 
@@ -110,6 +112,32 @@ def test_each_is_numpys(m: int) -> None:
     values, vectors = matrices.eigh(A + A.mT)
     close(values, np.linalg.eigvalsh((A + A.mT).numpy()))
     close((vectors * values[:, None]) @ vectors.mT, (A + A.mT).numpy())
+
+
+@pytest.mark.parametrize("regularity", [0.3, 2e-4, 5e-5, 1e-9])
+def test_the_spectrum_of_a_matrix_loses_little_by_squares(regularity: float) -> None:
+    m = 9
+    left, right = (torch.linalg.qr(square(m) + i).Q for i in range(2))
+    sigma = torch.logspace(0.0, math.log10(regularity), m, dtype=torch.float64)
+    A = torch.stack([(left * sigma) @ right.mT, square(m)])
+    vectors, found = matrices.left_spectrum(A)
+    bound = 1e-15 / min(regularity, 1.0) ** 2 if regularity >= matrices.SQUARED else 1e-15 / regularity
+    np.testing.assert_allclose(found[0].numpy(), sigma.numpy(), rtol=10 * bound)
+    np.testing.assert_allclose(found[1].numpy(), np.linalg.svd(square(m).numpy(), compute_uv=False), rtol=1e-12)
+    expected = torch.einsum("pij,pik->pjk", vectors, A).norm(dim=2)
+    np.testing.assert_allclose(expected.numpy(), found.numpy(), rtol=10 * bound + 1e-12)
+    np.testing.assert_allclose((vectors[0].abs() - left.abs()).abs().max(), 0.0, atol=1e-8)
+
+
+def test_one_value_that_is_not_finite_is_found() -> None:
+    largest = torch.finfo(torch.float64).max
+    A = torch.ones(5, 3, 4, dtype=torch.float64)
+    A[1, 2, 1], A[2, 0, 0], A[3, 1, 1] = torch.nan, torch.inf, -torch.inf
+    A[3, 1, 2] = torch.inf  # which the sum does not show as infinite
+    A[4] = largest  # whose sum overflows
+    assert matrices.all_finite(A).tolist() == [True, False, False, False, True]
+    assert matrices.all_finite(A[:1]).tolist() == [True]
+    assert matrices.all_finite(A[:0]).shape == (0,)
 
 
 @pytest.mark.parametrize("scale", [1e-140, 1.0, 1e140])
@@ -158,10 +186,11 @@ def test_a_matrix_on_which_lapack_fails_leaves_the_others_alone(monkeypatch: pyt
 def test_empty_batches(m: int) -> None:
     A = torch.zeros(0, m, m, dtype=torch.float64)
     for name, operation in OPERATIONS.items():
-        if name not in ("singular values", "left singular", "eigh"):
+        if name not in ("singular values", "left singular", "left spectrum", "eigh"):
             assert all(len(part) == 0 for part in operation(A, m))
     assert matrices.singular_values(A).shape == (0, m)
     assert [part.shape for part in matrices.left_singular(A)] == [(0, m, m), (0, m)]
+    assert [part.shape for part in matrices.left_spectrum(A)] == [(0, m, m), (0, m)]
     assert [part.shape for part in matrices.eigh(A)] == [(0, m), (0, m, m)]
 
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from rbfevo.methods.candidates import grid_candidates
 from rbfevo.methods.cmaes.search import CmaesSearch
 from rbfevo.methods.gradient.lbfgs import LBFGS
+from rbfevo.methods.gradient.rise import rise
 from rbfevo.methods.gradient.search import GradientSearch
 from rbfevo.methods.gradient.teams import FrontTeam, WishTeam
 from rbfevo.methods.gradient.tracing import soft_regularity
@@ -301,3 +302,17 @@ def test_a_climb_is_given_the_gradients_of_its_values(
     # Elsewhere a center sits within h of a kink: the plane, the region's edge, or the kernel's reach.
     assert int(right.sum()) >= 0.8 * len(right)
     assert float(expected.abs().median()) > 1e-2
+
+
+def test_only_points_that_are_accepted_get_gradients(egg: dict[str, Any]) -> None:
+    stage, problem = problem_of(gradient(), scenario=egg, centers=5)
+    stage.start(problem)
+    points = stage._placed(stage._climb.ask())
+    given = problem, points, stage._team.aim, 16.0, None, None
+    every = rise(*given, lambda values: torch.ones_like(values, dtype=torch.bool))
+    some = rise(*given, lambda values: values > values.median())
+    wanted = every.values > every.values.median()
+    torch.testing.assert_close(some.gradients[wanted], every.gradients[wanted], rtol=1e-12, atol=0.0)
+    assert (some.gradients[~wanted] == 0).all()
+    assert torch.equal(some.values, every.values)
+    assert (every.gradients.flatten(1) != 0).any(1).sum() > wanted.sum() > 3

@@ -158,7 +158,7 @@ def climbed(problem: Problem, setups: Tensor, weight: Tensor, steps: int) -> Ten
     aim, exponents, near = Preference(weight), None, None
     for _ in range(steps):
         placed = space.lower + side * climb.ask().unflatten(1, side.shape)
-        risen = rise(problem, placed, aim, SHARPNESS, exponents, near)
+        risen = rise(problem, placed, aim, SHARPNESS, exponents, near, climb.accepts)
         exponents, near = risen.exponents, risen.near
         climb.tell(risen.values, (risen.gradients * side).flatten(1))
     return space.place(space.lower + side * climb.points.unflatten(1, side.shape))

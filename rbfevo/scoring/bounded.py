@@ -22,6 +22,7 @@ from rbfevo.geometry.mirror import Mirror
 from rbfevo.scenarios.scenario import Scenario
 from rbfevo.scoring.evolvability import cutoff
 from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.matrices import all_finite
 from rbfevo.scoring.maxnorm import Block, best_displacement, power
 from rbfevo.scoring.maxnorm import dual_norm as dual_norm_of
 from rbfevo.scoring.pnorm import Best, Part, best, dual_norm
@@ -191,7 +192,7 @@ class BoundedPotential:
             run_in_slices(work, count)
         self.evaluations += count
         self.passes += int(passes.sum())
-        sound = torch.isfinite(slopes).flatten(1).all(1)
+        sound = all_finite(slopes)
         slopes = torch.where(sound.view(-1, *(1,) * (slopes.ndim - 1)), slopes, 0.0)
         near = torch.cat((flat.flatten(1), weights.flatten(1)), dim=1)
         found = (values, weights, slopes if gradients else None, passes, near)

@@ -20,7 +20,7 @@ from rbfevo.scoring.evolvability import EPS, Scores, cutoff, score_each
 from rbfevo.scoring.gradients import Spectrum
 from rbfevo.scoring.gram import GramAccumulator
 from rbfevo.scoring.kernels import Kernel
-from rbfevo.scoring.matrices import cholesky, left_singular, product, singular_values, solve_lower
+from rbfevo.scoring.matrices import all_finite, cholesky, left_singular, product, singular_values, solve_lower
 from rbfevo.scoring.representations import Representation
 from rbfevo.scoring.threads import coarse
 
@@ -141,7 +141,7 @@ class Evaluator:
         if m > n:
             raise UserError(f"{m} centers are more than the design's {n} vertices; use fewer")
         setups = centers.reshape(-1, *centers.shape[-dims:]).to(self.deformation.vertices.dtype)
-        finite = torch.isfinite(setups).flatten(1).all(1)
+        finite = all_finite(setups)
         setups = zeroed(setups, finite)
         regularity, potentials, rank = self._score(setups, finite)
         failed = ~(finite & torch.isfinite(regularity) & torch.isfinite(potentials).all(1))
@@ -163,7 +163,7 @@ class Evaluator:
         """Triangular factors of finite setups [p, m, d]; those that are not usable get an identity."""
         m = self.representation.columns(setups)
         M = self.gram(setups)
-        usable = finite & torch.isfinite(M).flatten(1).all(1)
+        usable = finite & all_finite(M)
         M = torch.where(usable[:, None, None], M, torch.eye(M.shape[-1], dtype=M.dtype, device=M.device))
         G, b = M[:, :m, :m], M[:, :m, m:]
         G, empty = decoupled(G)
@@ -242,7 +242,7 @@ class Evaluator:
         lost: list[Tensor] = []
         for _ in range(3):  # two suffice after an unshifted factor, three after a shifted one
             M = self.gram(setups[pending], T[pending])
-            M = torch.where(torch.isfinite(M).flatten(1).all(1)[:, None, None], M, 0.0)
+            M = torch.where(all_finite(M)[:, None, None], M, 0.0)
             L2, sound = cholesky(M[:, :m, :m] + torch.diag_embed(empty[pending].to(M.dtype)))
             sigma = singular_values(L2)
             done = sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0])

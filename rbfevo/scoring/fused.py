@@ -105,11 +105,25 @@ def _squared_distances(c, X, begin, end, out):
 
 @_jit
 def _wendland(q, inverse):
-    """phi from the squared distance and the inverse of the support radius."""
+    """phi and phi'/r from the squared distance and the inverse of the support radius."""
     q = np.sqrt(q) * inverse
     u = 1.0 - q
     u = u if u > 0.0 else 0.0
-    return (u * u) * (u * u) * (4.0 * q + 1.0)
+    return (u * u) * (u * u) * (4.0 * q + 1.0), (-20.0 * inverse * inverse) * (u * u * u)
+
+
+@_jit
+def _thin_plate(q):
+    """phi and phi'/r from the squared distance; 0 and 0 at r = 0."""
+    log = _log(q if q > 1e-300 else 1e-300)
+    return 0.5 * q * log, log + 1.0 if q > 1e-300 else 0.0
+
+
+@_jit
+def _cubic(q):
+    """phi and phi'/r from the squared distance."""
+    r = np.sqrt(q)
+    return q * r, 3.0 * r
 
 
 @_jit
@@ -117,12 +131,10 @@ def _phi_row(code, W, row):
     """Squared distances in `row` become phi(r) W, for the kernels without compact support."""
     if code == THIN_PLATE:
         for i in range(row.size):
-            q = row[i]
-            row[i] = 0.5 * q * _log(q if q > 1e-300 else 1e-300) * W[i]
+            row[i] = _thin_plate(row[i])[0] * W[i]
     else:
         for i in range(row.size):
-            q = row[i]
-            row[i] = q * np.sqrt(q) * W[i]
+            row[i] = _cubic(row[i])[0] * W[i]
 
 
 @_jit
@@ -136,7 +148,7 @@ def _fill_row(c, X, begin, end, code, support, W, row):
         x0, x1 = X[0, begin:end], X[1, begin:end]
         for i in range(row.size):
             a, b = x0[i] - c0, x1[i] - c1
-            row[i] = _wendland(a * a + b * b, inverse) * W[i]
+            row[i] = _wendland(a * a + b * b, inverse)[0] * W[i]
     else:
         c0, c1, c2 = c[0], c[1], c[2]
         x0, x1, x2 = X[0, begin:end], X[1, begin:end], X[2, begin:end]
@@ -144,31 +156,30 @@ def _fill_row(c, X, begin, end, code, support, W, row):
             inverse = 1.0 / support
             for i in range(row.size):
                 a, b, e = x0[i] - c0, x1[i] - c1, x2[i] - c2
-                row[i] = _wendland(a * a + b * b + e * e, inverse) * W[i]
+                row[i] = _wendland(a * a + b * b + e * e, inverse)[0] * W[i]
         else:
             for i in range(row.size):
                 a, b, e = x0[i] - c0, x1[i] - c1, x2[i] - c2
-                q = a * a + b * b + e * e
-                row[i] = q * np.sqrt(q) * W[i]
+                row[i] = _cubic(a * a + b * b + e * e)[0] * W[i]
 
 
 @_jit
-def _slope_row(code, support, W, row):
-    """Squared distances in `row` become phi'(r)/r W, 0 at r = 0 for the thin-plate spline."""
+def _fill_both(c, X, begin, end, code, support, W, row, slope):
+    """phi(r) W and phi'(r)/r W of the vertices from begin to end: one square root or logarithm for both."""
+    _squared_distances(c, X, begin, end, slope)
     if code == WENDLAND:
         inverse = 1.0 / support
-        factor = -20.0 * inverse * inverse
         for i in range(row.size):
-            u = 1.0 - np.sqrt(row[i]) * inverse
-            u = u if u > 0.0 else 0.0
-            row[i] = factor * u * u * u * W[i]
+            phi, derivative = _wendland(slope[i], inverse)
+            row[i], slope[i] = phi * W[i], derivative * W[i]
     elif code == THIN_PLATE:
         for i in range(row.size):
-            q = row[i]
-            row[i] = (_log(q) + 1.0) * W[i] if q > 1e-300 else 0.0
+            phi, derivative = _thin_plate(slope[i])
+            row[i], slope[i] = phi * W[i], derivative * W[i]
     else:
         for i in range(row.size):
-            row[i] = 3.0 * np.sqrt(row[i]) * W[i]
+            phi, derivative = _cubic(slope[i])
+            row[i], slope[i] = phi * W[i], derivative * W[i]
 
 
 @_jit
@@ -351,93 +362,126 @@ def gram_backward(C, images, sign, axis, X, W, g, starts, low, high, code, suppo
     """dC [p, m, d] from dG [p, m, m] (symmetrized by the caller: dG + dG^T) and db [p, m, k], recomputing the blocks.
 
     dPhi = Phi (dG + dG^T) + g db^T; dc_j = sum_i dPhi_ij phi'(r_ij)/r_ij (c_j - x_i). What reaches c_j through its
-    mirror image is turned over along `axis`.
+    mirror image is turned over along `axis`. A setup costs nothing where all of dG and db is 0.
     """
     p, m, d = C.shape
-    k = g.shape[0]
     capacity = _capacity(starts)
     A = np.empty((m + 1, capacity))
-    S = np.empty((m, capacity))
+    S = np.empty((m + 1, capacity))
     H = np.empty((4, capacity))
     through = np.empty(d)
     active = np.empty(m, np.int64)
     for e in range(p):
         dC[e] = 0.0
+        if not (dG[e].any() or db[e].any()):
+            continue
         for block in range(starts.size - 1):
             begin, end = starts[block], starts[block + 1]
-            size = end - begin
-            rows = _fill_block(
-                C[e], images[e], sign, X, begin, end, W, low, high, block, code, support, False, A, active
-            )
-            for a in range(rows):
-                _squared_distances(C[e, active[a]], X, begin, end, S[a, :size])
-                _slope_row(code, support, W[begin:end], S[a, :size])
+            size, weights = end - begin, W[begin:end]
+            rows = _fill_slopes(C[e], images[e], sign, X, begin, end, W, low, high, block, code, support, A, S, active)
             for a in range(0, rows, 4):
                 a1, a2, a3 = min(a + 1, rows - 1), min(a + 2, rows - 1), min(a + 3, rows - 1)
                 j0, j1, j2, j3 = active[a], active[a1], active[a2], active[a3]
                 h0, h1, h2, h3 = H[0, :size], H[1, :size], H[2, :size], H[3, :size]
-                _combine(A, active, rows, size, dG[e], j0, j1, j2, j3, g, begin, db[e], k, h0, h1, h2, h3)
+                _combine(A, active, rows, size, dG[e], j0, j1, j2, j3, g, begin, db[e], h0, h1, h2, h3)
                 for s in range(min(4, rows - a)):
                     j = active[a + s]
                     _pull(H[s, :size], S[a + s, :size], C[e, j], X, begin, dC[e, j])
                     if sign != 0.0:
-                        _squared_distances(images[e, j], X, begin, end, A[m, :size])
-                        _slope_row(code, support, W[begin:end], A[m, :size])
+                        _fill_both(images[e, j], X, begin, end, code, support, weights, A[m, :size], S[m, :size])
                         through[:] = 0.0
-                        _pull(H[s, :size], A[m, :size], images[e, j], X, begin, through)
+                        _pull(H[s, :size], S[m, :size], images[e, j], X, begin, through)
                         through[axis] = -through[axis]
                         for q in range(d):
                             dC[e, j, q] += sign * through[q]
 
 
 @_jit
-def _combine(A, active, rows, size, dG, j0, j1, j2, j3, g, begin, db, k, h0, h1, h2, h3):
-    """Four rows of dPhi^T: h_s = sum_b dG[j_s, b] A[b] + sum_q db[j_s, q] g[q]."""
+def _fill_slopes(centers, images, sign, X, begin, end, W, low, high, block, code, support, A, S, active):
+    """As `_fill_block`, and rows phi'(r)/r W of the centers themselves in `S`."""
+    m = centers.shape[0]
+    size, weights = end - begin, W[begin:end]
+    if sign != 0.0:
+        rows = _fill_block(centers, images, sign, X, begin, end, W, low, high, block, code, support, False, A, active)
+        for a in range(rows):
+            _fill_both(centers[active[a]], X, begin, end, code, support, weights, A[m, :size], S[a, :size])
+        return rows
+    rows = 0
+    for j in range(m):
+        if _reached(centers[j], low, high, block, code, support):
+            _fill_both(centers[j], X, begin, end, code, support, weights, A[rows, :size], S[rows, :size])
+            active[rows] = j
+            rows += 1
+    return rows
+
+
+@_jit
+def _combine(A, active, rows, size, dG, j0, j1, j2, j3, g, begin, db, h0, h1, h2, h3):
+    """Four rows of dPhi^T: h_s = sum_b dG[j_s, b] A[b] + sum_q db[j_s, q] g[q].
+
+    Five rows of A are taken at a time: their 20 factors and all vectors still fit 32 registers.
+    """
     for i in range(size):
         h0[i] = 0.0
         h1[i] = 0.0
         h2[i] = 0.0
         h3[i] = 0.0
     b = 0
-    while b + 2 <= rows:
-        r, q = A[b, :size], A[b + 1, :size]
-        u, v = active[b], active[b + 1]
-        w0, w1, w2, w3 = dG[j0, u], dG[j1, u], dG[j2, u], dG[j3, u]
-        v0, v1, v2, v3 = dG[j0, v], dG[j1, v], dG[j2, v], dG[j3, v]
+    while b + 5 <= rows:
+        r0, r1, r2, r3, r4 = A[b, :size], A[b + 1, :size], A[b + 2, :size], A[b + 3, :size], A[b + 4, :size]
+        u0, u1, u2, u3, u4 = active[b], active[b + 1], active[b + 2], active[b + 3], active[b + 4]
+        p0, p1, p2, p3, p4 = dG[j0, u0], dG[j0, u1], dG[j0, u2], dG[j0, u3], dG[j0, u4]
+        q0, q1, q2, q3, q4 = dG[j1, u0], dG[j1, u1], dG[j1, u2], dG[j1, u3], dG[j1, u4]
+        s0, s1, s2, s3, s4 = dG[j2, u0], dG[j2, u1], dG[j2, u2], dG[j2, u3], dG[j2, u4]
+        t0, t1, t2, t3, t4 = dG[j3, u0], dG[j3, u1], dG[j3, u2], dG[j3, u3], dG[j3, u4]
         for i in range(size):
-            x, y = r[i], q[i]
-            h0[i] += w0 * x + v0 * y
-            h1[i] += w1 * x + v1 * y
-            h2[i] += w2 * x + v2 * y
-            h3[i] += w3 * x + v3 * y
-        b += 2
-    if b < rows:
-        r, u = A[b, :size], active[b]
-        w0, w1, w2, w3 = dG[j0, u], dG[j1, u], dG[j2, u], dG[j3, u]
-        for i in range(size):
-            x = r[i]
-            h0[i] += w0 * x
-            h1[i] += w1 * x
-            h2[i] += w2 * x
-            h3[i] += w3 * x
-    for b in range(k):
-        r = g[b, begin : begin + size]
-        w0, w1, w2, w3 = db[j0, b], db[j1, b], db[j2, b], db[j3, b]
-        for i in range(size):
-            x = r[i]
-            h0[i] += w0 * x
-            h1[i] += w1 * x
-            h2[i] += w2 * x
-            h3[i] += w3 * x
+            x0, x1, x2, x3, x4 = r0[i], r1[i], r2[i], r3[i], r4[i]
+            h0[i] += p0 * x0 + p1 * x1 + p2 * x2 + p3 * x3 + p4 * x4
+            h1[i] += q0 * x0 + q1 * x1 + q2 * x2 + q3 * x3 + q4 * x4
+            h2[i] += s0 * x0 + s1 * x1 + s2 * x2 + s3 * x3 + s4 * x4
+            h3[i] += t0 * x0 + t1 * x1 + t2 * x2 + t3 * x3 + t4 * x4
+        b += 5
+    while b < rows:
+        u = active[b]
+        _add_row(A[b, :size], dG[j0, u], dG[j1, u], dG[j2, u], dG[j3, u], h0, h1, h2, h3)
+        b += 1
+    for q in range(g.shape[0]):
+        _add_row(g[q, begin : begin + size], db[j0, q], db[j1, q], db[j2, q], db[j3, q], h0, h1, h2, h3)
+
+
+@_jit
+def _add_row(row, w0, w1, w2, w3, h0, h1, h2, h3):
+    for i in range(row.size):
+        x = row[i]
+        h0[i] += w0 * x
+        h1[i] += w1 * x
+        h2[i] += w2 * x
+        h3[i] += w3 * x
 
 
 @_jit_sum
 def _pull(h, slope, c, X, begin, out):
     """out += sum_i h_i slope_i (c - x_i)."""
-    for axis in range(c.size):
-        position = c[axis]
-        x = X[axis, begin : begin + h.size]
-        total = 0.0
+    end = begin + h.size
+    if c.size == 2:
+        c0, c1 = c[0], c[1]
+        x0, x1 = X[0, begin:end], X[1, begin:end]
+        s0 = s1 = 0.0
         for i in range(h.size):
-            total += h[i] * slope[i] * (position - x[i])
-        out[axis] += total
+            v = h[i] * slope[i]
+            s0 += v * (c0 - x0[i])
+            s1 += v * (c1 - x1[i])
+        out[0] += s0
+        out[1] += s1
+    else:
+        c0, c1, c2 = c[0], c[1], c[2]
+        x0, x1, x2 = X[0, begin:end], X[1, begin:end], X[2, begin:end]
+        s0 = s1 = s2 = 0.0
+        for i in range(h.size):
+            v = h[i] * slope[i]
+            s0 += v * (c0 - x0[i])
+            s1 += v * (c1 - x1[i])
+            s2 += v * (c2 - x2[i])
+        out[0] += s0
+        out[1] += s1
+        out[2] += s2

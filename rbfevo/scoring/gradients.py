@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from rbfevo.errors import UserError
-from rbfevo.scoring.matrices import gram, left_singular, product, solve_lower
+from rbfevo.scoring.matrices import all_finite, gram, left_spectrum, product, solve_lower
 from rbfevo.scoring.representations import Pull
 from rbfevo.scoring.threads import coarse
 
@@ -39,7 +39,7 @@ class Spectrum:
     @coarse()
     def __init__(self, evaluator: Evaluator, centers: Tensor) -> None:
         """Take centers [p, m, d]; any values."""
-        finite = torch.isfinite(centers).flatten(1).all(1)
+        finite = all_finite(centers)
         self.evaluator = evaluator
         self.centers = torch.where(finite.view(-1, *(1,) * (centers.ndim - 1)), centers.detach(), 0.0)
         T, y, potentials, rank, usable, deficient = evaluator.factors(self.centers, finite)
@@ -67,7 +67,7 @@ class Spectrum:
                         f"representation={evaluator.representation.name} has no gradients under direct manipulation"
                     )
         identity = torch.eye(m, dtype=T.dtype, device=T.device)
-        self._V, self.sigma = left_singular(torch.where(self.regular[:, None, None], T, identity))
+        self._V, self.sigma = left_spectrum(torch.where(self.regular[:, None, None], T, identity))
 
     def _narrowed(self, phi: tuple[Tensor, Tensor, Tensor], factor: Tensor, sound: Tensor) -> Tensor:
         """The triangular factor T' [p, m, m] of U = Q T^T W, whose columns reach less than those of Phi.
@@ -125,7 +125,7 @@ class Spectrum:
                 name = self.evaluator.representation.name
                 raise UserError(f"representation={name} has no gradients under direct manipulation")
             gradient += found
-        sound = torch.isfinite(gradient).flatten(1).all(1)
+        sound = all_finite(gradient)
         return torch.where(sound.view(-1, *(1,) * (gradient.ndim - 1)), gradient, 0.0)
 
     def _of_columns(self, dM: Tensor) -> tuple[Tensor, Tensor]:

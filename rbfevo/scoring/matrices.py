@@ -22,6 +22,7 @@ from torch import Tensor
 from rbfevo.scoring.threads import coarse, run_in_slices
 
 ROWS = 4  # 4 x 4 float64 are two cache lines of 64 bytes
+SQUARED = 1e-4  # of sigma_max
 BEYOND = 2.0  # of the Frobenius norm: the eigenvalue of what is filled up, so that it comes last
 
 
@@ -41,13 +42,22 @@ def gram(A: Tensor) -> Tensor:
     return _cut(filled @ filled.mT, A.shape[1], A.shape[1])
 
 
+def all_finite(A: Tensor) -> Tensor:
+    """Whether all values of A [p, ...] are finite [p]: by their sum, which costs a twentieth of looking at each."""
+    values = A.flatten(1)
+    found = values.sum(1).isfinite()
+    if not bool(found.all()):  # sums of large numbers can overflow
+        found = values.isfinite().all(1)
+    return found
+
+
 @coarse()
 def cholesky(G: Tensor) -> tuple[Tensor, Tensor]:
     """Lower factors [p, m, m] of G [p, m, m], the identity where there is none, and whether there is one [p]."""
     m = G.shape[-1]
     upper, info = torch.linalg.cholesky_ex(_filled(G, identity=True), upper=True)
     L = _cut(upper.mT, m, m)
-    sound = (info == 0) & torch.isfinite(L).flatten(1).all(1)
+    sound = (info == 0) & all_finite(L)
     return torch.where(sound[:, None, None], L, torch.eye(m, dtype=G.dtype, device=G.device)), sound
 
 
@@ -81,6 +91,20 @@ def left_singular(A: Tensor) -> tuple[Tensor, Tensor]:
         return _cut(left, m, m), sigma[:, :m]
 
     return _shared(work, A)
+
+
+def left_spectrum(A: Tensor) -> tuple[Tensor, Tensor]:
+    """As `left_singular`, in half the time where squares lose little: where sigma_min >= `SQUARED` sigma_max.
+
+    There they come from the eigenvectors of A A^T, and sigma_min has a relative error of about eps (sigma_max /
+    sigma_min)^2, at most 2e-8; elsewhere from the singular value decomposition.
+    """
+    values, vectors = eigh(gram(A))
+    left, sigma = vectors.flip(2), values.flip(1).clamp_min(0.0).sqrt()
+    index = torch.nonzero(~(sigma[:, -1] >= SQUARED * sigma[:, 0])).flatten()
+    if len(index):
+        left[index], sigma[index] = left_singular(A[index])
+    return left, sigma
 
 
 def eigh(C: Tensor) -> tuple[Tensor, Tensor]:

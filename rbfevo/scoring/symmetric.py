@@ -22,6 +22,7 @@ from rbfevo.scoring.evaluator import Evaluator, Singular
 from rbfevo.scoring.evolvability import Scores, projection
 from rbfevo.scoring.gradients import Spectrum
 from rbfevo.scoring.kernels import Kernel
+from rbfevo.scoring.matrices import all_finite
 from rbfevo.scoring.representations import RBF, Representation
 from rbfevo.scoring.threads import coarse, run_in_slices
 
@@ -181,7 +182,7 @@ class MirroredSpectrum(Spectrum):
     @coarse()
     def __init__(self, evaluator: MirroredEvaluator, centers: Tensor) -> None:
         """Take centers [p, m, d]; any values."""
-        finite = torch.isfinite(centers).flatten(1).all(1)
+        finite = all_finite(centers)
         kept = finite.view(-1, *(1,) * (centers.ndim - 1))
         snapped = evaluator.snapped(torch.where(kept, centers.detach(), 0.0))
         self.evaluator, self.centers = evaluator, snapped

@@ -25,7 +25,7 @@ from torch import Tensor
 from rbfevo.errors import UserError
 from rbfevo.methods.cmaes.box import Box
 from rbfevo.methods.cmaes.strategy import Strategy
-from rbfevo.scoring.matrices import eigh, product
+from rbfevo.scoring.matrices import all_finite, eigh, product
 from rbfevo.scoring.threads import coarse
 
 CONDITION_LIMIT = 1e14  # of C
@@ -200,7 +200,7 @@ class CMAES:
     def _decompose(self) -> None:
         """Bring C^(1/2) up to date; keep C, element by element, finite, well conditioned and no wider than the box."""
         C = (self._C + self._C.mT) / 2
-        sound = C.isfinite().flatten(1).all(1)[:, None]  # eigh raises for a whole batch on one NaN
+        sound = all_finite(C)[:, None]  # eigh raises for a whole batch on one NaN
         C = torch.where(sound[..., None], C, torch.eye(C.shape[1], dtype=C.dtype, device=C.device))
         sigma = torch.where(self.sigma.isfinite(), self.sigma, self._start_sigma)
         # No standard deviation above the widest: first by sigma, as far as every coordinate asks for it, then by C.

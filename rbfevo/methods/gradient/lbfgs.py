@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,7 +12,17 @@ ARMIJO = 1e-4
 SHRINK = 0.3
 LONGEST = 0.3  # of a step, Euclidean, in units of the box
 REJECTIONS = 8  # in a row, after which the memory is forgotten
-ROWS = ("points", "values", "_gradients", "_direction", "_length", "_rejected", "_trial", "accepted")  # [K, ...]
+ROWS = (
+    "points",
+    "values",
+    "_gradients",
+    "_direction",
+    "_length",
+    "_rejected",
+    "_scale",
+    "_trial",
+    "accepted",
+)  # [K, ...]
 PAIRS = ("_steps", "_changes", "_rho")  # [memory, K, ...]
 STATE = (*ROWS, *PAIRS)
 
@@ -24,7 +35,7 @@ class LBFGS:
 
     Args:
         points: [K, D] start, inside [0, 1].
-        memory: pairs of steps and gradient changes that are kept.
+        memory: calls of `tell` whose pairs of a step and a gradient change are kept.
         first: Euclidean length of a first step along the gradient.
 
     Attributes:
@@ -41,6 +52,8 @@ class LBFGS:
         self._steps = points.new_zeros(memory, K, D)
         self._changes = points.new_zeros(memory, K, D)
         self._rho = points.new_zeros(memory, K)  # 1 / (step . change); 0 where a pair is missing
+        self._slot = 0  # where the next pair goes
+        self._scale = points.new_zeros(K)  # of the inverse Hessian before any pair, from the last one; 0 without one
         self._direction = torch.zeros_like(self.points)
         self._length = points.new_ones(K)
         self._rejected = torch.zeros(K, dtype=torch.long, device=points.device)
@@ -55,6 +68,7 @@ class LBFGS:
         """Put elements `rows` [k] at new points [k, D], without memory."""
         self.points[rows] = points
         self._rho[:, rows] = 0.0
+        self._scale[rows] = 0.0
         self._rejected[rows] = 0
         self.revalue()
 
@@ -70,49 +84,63 @@ class LBFGS:
             setattr(kept, name, getattr(self, name)[rows])
         for name in PAIRS:
             setattr(kept, name, getattr(self, name)[:, rows])
+        kept._slot = self._slot
         return kept
 
     def anew(self, points: Tensor) -> LBFGS:
         """The same method on other points [k, D], without memory."""
         return LBFGS(points, len(self._rho), self.first)
 
-    def state_dict(self) -> dict[str, Tensor]:
-        """All that changes, as tensors by name; copies."""
-        return {name: getattr(self, name).clone() for name in STATE}
+    def state_dict(self) -> dict[str, Any]:
+        """All that changes, as tensors by name, and the slot of the next pair; copies."""
+        return {name: getattr(self, name).clone() for name in STATE} | {"slot": self._slot}
 
-    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue, bit for bit, where `state_dict` was taken; the number of elements is that of the state."""
         for name in STATE:
             setattr(self, name, state[name].to(getattr(self, name)).clone())
+        self._slot = int(state["slot"])
+
+    def accepts(self, values: Tensor) -> Tensor:
+        """Whether the points last asked for are accepted [K] with these values [K]; only those need gradients."""
+        gain = torch.linalg.vecdot(self._gradients, self._trial - self.points)
+        return torch.isinf(self.values) | (values >= self.values + ARMIJO * gain)
 
     def tell(self, values: Tensor, gradients: Tensor) -> None:
-        """Take values [K] (maximized) and gradients [K, D] of the points last asked for; NaN is a rejection."""
+        """Take values [K] (maximized) and gradients [K, D] of the points last asked for; NaN is a rejection.
+
+        Gradients of points that are not accepted are not looked at.
+        """
         move = self._trial - self.points
         fresh = torch.isinf(self.values)
-        accepted = fresh | (values >= self.values + ARMIJO * (self._gradients * move).sum(1))
-        change = self._gradients - gradients  # of the gradient of -f
-        curvature = (move * change).sum(1)
-        self.accepted = accepted
-        useful = accepted & ~fresh & (curvature > 1e-10 * change.square().sum(1))
-        self._remember(useful, move, change, curvature)
+        self.accepted = accepted = self.accepts(values)
+        gradients = torch.where(accepted[:, None], gradients, self._gradients)
+        self._remember(accepted & ~fresh, move, self._gradients - gradients)  # change of the gradient of -f
         self.points = torch.where(accepted[:, None], self._trial, self.points)
-        self._gradients = torch.where(accepted[:, None], gradients, self._gradients)
+        self._gradients = gradients
         self.values = torch.where(accepted, values, self.values)
         self._rejected = torch.where(accepted, 0, self._rejected + 1)
         stuck = self._rejected >= REJECTIONS
-        self._rho = torch.where(stuck, 0.0, self._rho)
+        self._forget(stuck)
         self._rejected = torch.where(stuck, 0, self._rejected)
         turned = accepted | stuck
         self._direction = torch.where(turned[:, None], self._ascent(), self._direction)
         self._length = torch.where(turned, 1.0, SHRINK * self._length)
         self._trial = (self.points + self._length[:, None] * self._direction).clamp(0.0, 1.0)
 
-    def _remember(self, useful: Tensor, move: Tensor, change: Tensor, curvature: Tensor) -> None:
-        rows = useful[:, None]
-        self._steps = torch.where(rows, torch.cat((self._steps[1:], move[None])), self._steps)
-        self._changes = torch.where(rows, torch.cat((self._changes[1:], change[None])), self._changes)
-        rho = 1.0 / torch.where(useful, curvature, 1.0)
-        self._rho = torch.where(useful, torch.cat((self._rho[1:], rho[None])), self._rho)
+    def _remember(self, taken: Tensor, move: Tensor, change: Tensor) -> None:
+        """Keep the pair of each element whose step was taken [K] and curves upwards; no pair of the others."""
+        curvature, square = torch.linalg.vecdot(move, change), torch.linalg.vecdot(change, change)
+        useful = taken & (curvature > 1e-10 * square)
+        self._steps[self._slot] = torch.where(useful[:, None], move, 0.0)
+        self._changes[self._slot] = torch.where(useful[:, None], change, 0.0)
+        self._rho[self._slot] = torch.where(useful, 1.0 / torch.where(useful, curvature, 1.0), 0.0)
+        self._scale = torch.where(useful, curvature / torch.where(useful, square, 1.0), self._scale)
+        self._slot = (self._slot + 1) % len(self._rho)
+
+    def _forget(self, which: Tensor) -> None:
+        self._rho[:, which] = 0.0
+        self._scale[which] = 0.0
 
     def _ascent(self) -> Tensor:
         """[K, D] directions: the two-loop recursion on the free variables, the gradient where that does not ascend."""
@@ -121,18 +149,17 @@ class LBFGS:
         tiny = torch.finfo(gradient.dtype).tiny
         steepest = gradient * (self.first / gradient.norm(dim=1).clamp_min(tiny))[:, None]
         q = gradient
-        pairs = list(zip(self._steps, self._changes, self._rho, strict=True))
+        order = [(self._slot + age) % len(self._rho) for age in range(len(self._rho))]  # the oldest first
+        pairs = [(self._steps[slot], self._changes[slot], self._rho[slot, :, None]) for slot in order]
         alphas = []
         for step, change, rho in reversed(pairs):
-            alphas.append(rho * (step * q).sum(1))
-            q = q - alphas[-1][:, None] * change
-        last = self._rho[-1]
-        scale = 1.0 / (last * self._changes[-1].square().sum(1)).clamp_min(tiny)
-        q = torch.where((last > 0)[:, None], scale[:, None] * q, steepest)
+            alphas.append(rho * torch.linalg.vecdot(step, q)[:, None])
+            q = torch.addcmul(q, alphas[-1], change, value=-1.0)
+        q = torch.where((self._scale > 0)[:, None], self._scale[:, None] * q, steepest)
         for (step, change, rho), alpha in zip(pairs, reversed(alphas), strict=True):
-            q = q + (alpha - rho * (change * q).sum(1))[:, None] * step
+            q = torch.addcmul(q, alpha - rho * torch.linalg.vecdot(change, q)[:, None], step)
         q = torch.where(held, 0.0, q)
-        downhill = ~((q * gradient).sum(1) > 0.0)
-        self._rho = torch.where(downhill, 0.0, self._rho)
+        downhill = ~(torch.linalg.vecdot(q, gradient) > 0.0)
+        self._forget(downhill)
         q = torch.where(downhill[:, None], steepest, q)
         return q * (LONGEST / q.norm(dim=1).clamp_min(LONGEST))[:, None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
@@ -27,13 +28,20 @@ class Rise(NamedTuple):
 
 
 def rise(
-    problem: Problem, points: Tensor, aim: Aim, sharpness: float, exponent: Tensor | None, near: Tensor | None
+    problem: Problem,
+    points: Tensor,
+    aim: Aim,
+    sharpness: float,
+    exponent: Tensor | None,
+    near: Tensor | None,
+    accepts: Callable[[Tensor], Tensor],
 ) -> Rise:
     """The value of `aim` and its gradient at points [p, *setup] of the box.
 
     Args:
         sharpness: of the smooth R and least P; exponent: [p] of the smooth R, None: fitted to R at these points.
         near: of an earlier call at similar points, or None.
+        accepts: tells by their values [p] which points need gradients [p]; those of the others are 0.
     """
     known = () if near is None else (near,)
     spectrum = problem.spectrum(problem.space.place(points), *known)
@@ -43,5 +51,10 @@ def rise(
     log_regularity, slope = soft_regularity(spectrum, exponent)
     potential, shares = soft_potential(spectrum, sharpness)
     values, in_regularity, in_potential = aim(log_regularity, potential)
-    gradient = spectrum.backward(in_regularity[:, None] * slope, in_potential[:, None] * shares)
+    wanted = accepts(values)[:, None]
+    toward = (
+        torch.where(wanted, in_regularity[:, None] * slope, 0.0),
+        torch.where(wanted, in_potential[:, None] * shares, 0.0),
+    )
+    gradient = spectrum.backward(*toward)
     return Rise(values, problem.space.pull(points, gradient), objectives, exponent, spectrum.near)

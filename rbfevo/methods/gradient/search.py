@@ -149,7 +149,7 @@ class GradientSearch(Method):
         points = self._climb.ask()
         placed = self._placed(points)
         exponents = None if self._renew else self._exponents
-        risen = rise(self._problem, placed, self._team.aim, self._sharpness, exponents, self._near)
+        risen = rise(self._problem, placed, self._team.aim, self._sharpness, exponents, self._near, self._climb.accepts)
         self._exponents, self._near, self._renew = risen.exponents, risen.near, False
         self._climb.tell(risen.values, (risen.gradients * self._side).flatten(1))
         self._team.move(self._climb, points, risen.objectives, self._climb.accepted)

@@ -149,15 +149,15 @@ class LinearRBF(RBF):
         import torch
 
         from rbfevo.scoring.evolvability import singular
-        from rbfevo.scoring.matrices import solve
+        from rbfevo.scoring.matrices import all_finite, solve
 
         if manipulation == "indirect":
             return super().reduce(setups, factor, manipulation)
         at = self.psi(setups)
         identity = torch.eye(at.shape[-1], dtype=at.dtype, device=at.device).expand_as(at)
         inverse, reduced = solve(at, identity), solve(at.mT, factor)
-        lost = singular(at, inverse) | ~torch.isfinite(inverse).flatten(1).all(1)
-        lost = (lost | ~torch.isfinite(reduced).flatten(1).all(1))[:, None, None]
+        lost = singular(at, inverse) | ~all_finite(inverse)
+        lost = (lost | ~all_finite(reduced))[:, None, None]
         return Reduced(torch.where(lost, identity, reduced), torch.where(lost, identity, inverse), lost[:, 0, 0])
 
     def pull(self, points: Tensor, setups: Tensor, gradient: Tensor) -> Tensor:

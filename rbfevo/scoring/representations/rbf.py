@@ -95,7 +95,7 @@ class RBF(Representation):
         import torch
 
         from rbfevo.scoring.evolvability import singular
-        from rbfevo.scoring.matrices import solve
+        from rbfevo.scoring.matrices import all_finite, solve
 
         if manipulation == "indirect":
             return super().reduce(setups, factor, manipulation)
@@ -103,7 +103,7 @@ class RBF(Representation):
         Psi = self.psi(setups)
         identity = torch.eye(m, dtype=Psi.dtype, device=Psi.device)
         solution = solve(Psi, torch.cat((factor, identity.expand_as(factor)), dim=2))  # Psi = Psi^T
-        lost = singular(Psi, solution[:, :, m:]) | ~torch.isfinite(solution).flatten(1).all(1)
+        lost = singular(Psi, solution[:, :, m:]) | ~all_finite(solution)
         solution = torch.where(lost[:, None, None], torch.cat((identity, identity), dim=1), solution)
         return Reduced(solution[:, :, :m], solution[:, :, m:], lost)
 
