@@ -22,10 +22,14 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from rbfevo.errors import UserError
+from rbfevo.scoring import evaluator as evaluators
+from rbfevo.scoring import sliced
 from rbfevo.scoring.deformation import MANIPULATIONS
-from rbfevo.scoring.evaluator import Evaluator
+from rbfevo.scoring.evaluator import Evaluator, is_regular
 from rbfevo.scoring.evolvability import Scores
+from rbfevo.scoring.gram import fused_block
 from rbfevo.scoring.kernels import Cubic, Kernel, ThinPlate, Wendland
+from rbfevo.scoring.threads import results_of_slices
 
 both = pytest.mark.parametrize("manipulation", MANIPULATIONS)
 backends = pytest.mark.parametrize("backend", ["fused", "eager"])
@@ -506,7 +510,9 @@ def test_never_raises_and_agrees_with_the_definition(
 
 MEMORY = """
     import re, sys, torch
-    from rbfevo.scoring.evaluator import Evaluator
+    from rbfevo.scoring import evaluator as evaluators
+from rbfevo.scoring import sliced
+from rbfevo.scoring.evaluator import Evaluator, is_regular
     from rbfevo.scoring.kernels import ThinPlate, Wendland
 
     def status(field):  # kB
@@ -566,3 +572,71 @@ def test_a_gpu_scores_host_centers_and_is_waited_for_once_a_pass(design: str, ke
     expected = exact(centers)
     torch.testing.assert_close(found.regularity, expected.regularity, rtol=1e-6, atol=1e-12)
     torch.testing.assert_close(found.improvement_potential, expected.improvement_potential, rtol=0, atol=1e-8)
+
+
+def test_bounds_decide_most_of_what_singular_values_would(monkeypatch: pytest.MonkeyPatch) -> None:
+    m, least = 12, 3e-5
+    ratios = torch.tensor([0.5, 2e-3, 3.1e-5, 2.9e-5, 1e-6, 1e-12], dtype=torch.float64)
+    generator = torch.Generator().manual_seed(0)
+    Q = torch.linalg.qr(torch.randn(len(ratios), m, m, generator=generator, dtype=torch.float64))[0]
+    spread = torch.linspace(0.0, 1.0, m, dtype=torch.float64)
+    L = torch.linalg.qr((ratios[:, None] ** spread)[:, :, None] * Q.mT)[1].mT
+    sigma, looked = torch.linalg.svdvals(L), []
+    monkeypatch.setattr(evaluators, "singular_values", lambda A: looked.append(len(A)) or torch.linalg.svdvals(A))
+    assert is_regular(L, least).tolist() == (sigma[:, -1] > least * sigma[:, 0]).tolist() == [True] * 3 + [False] * 3
+    assert looked == [2]
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@both
+def test_slices_of_a_population_change_nothing(
+    manipulation: str, threads: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    some = built("plane")
+    centers = some.centers(11, 9, seed=2)
+    centers[4, 2] = centers[4, 1]
+    centers[7] = torch.nan
+    slopes = torch.randn(11, 10, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+
+    def found() -> tuple[list[torch.Tensor], list[int]]:
+        fast = evaluator(some, ThinPlate(), manipulation)
+        spectrum = fast.spectrum(centers)
+        gradient = spectrum.backward(slopes[:, :9], slopes[:, 9])
+        attributes = (spectrum.sigma, spectrum.regularity, spectrum.potential, spectrum.potentials, spectrum.regular)
+        counters = [fast.evaluations, fast.failed_evaluations, fast.gradients, fast.further_passes, fast.factorizations]
+        return [*fast(centers), *attributes, spectrum.improvable, spectrum.centers, gradient], counters
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        whole, counted = found()
+        monkeypatch.setattr(sliced, "BYTES", 3 * 8 * 9 * 9)  # three setups a slice
+        slices, again = found()
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(one, other) for one, other in zip(whole, slices, strict=True))
+    assert counted == again
+    assert counted[:3] == [11, 1, 11]
+    assert counted[3] > 0
+
+
+@pytest.mark.parametrize(("count", "most", "threads", "sizes"), [
+    (10, 10, 2, [10]), (10, 9, 2, [5, 5]), (10, 4, 2, [4, 4, 2]), (10, 4, 1, [4, 4, 2]), (10, 9, 1, [9, 1]),
+    (0, 3, 2, [0]),
+])  # fmt: skip
+def test_slices_make_up_the_whole_in_order(count: int, most: int, threads: int, sizes: list[int]) -> None:
+    before = torch.get_num_threads()
+    torch.set_num_threads(threads)
+    try:
+        found = results_of_slices(lambda rows: rows, count, most)
+    finally:
+        torch.set_num_threads(before)
+    assert [rows.stop - rows.start for rows in found] == sizes
+    assert [i for rows in found for i in range(count)[rows]] == list(range(count))
+
+
+def test_blocks_are_small_where_a_kernel_reaches_little() -> None:
+    coarse, fine = built("plane").vertices, torch.rand(5000, 2, generator=torch.Generator().manual_seed(0)).double()
+    sizes = [fused_block(points, support) for points in (coarse, fine) for support in (0.0, 0.1, 0.45, 2.0)]
+    assert sizes[:2] == [1024, 256]
+    assert sizes[3:] == [1024, 1024, 512, 512, 1024]

@@ -8,6 +8,7 @@ al. 2020), and those that stay numerically rank-deficient a blocked Householder 
 
 from __future__ import annotations
 
+import threading
 from typing import NamedTuple
 
 import torch
@@ -22,10 +23,12 @@ from rbfevo.scoring.gram import GramAccumulator
 from rbfevo.scoring.kernels import Kernel
 from rbfevo.scoring.matrices import all_finite, cholesky, left_singular, product, singular_values, solve_lower
 from rbfevo.scoring.representations import Representation
+from rbfevo.scoring.sliced import SlicedSpectrum, in_slices
 from rbfevo.scoring.threads import coarse
 
 TRIGGER = 3e-5  # below this R(Phi), G has lost too many digits: eps / TRIGGER^2 is 2e-7
 QR_ROWS = 4096
+_COUNTING = threading.Lock()
 
 
 class Factors(NamedTuple):
@@ -110,6 +113,12 @@ class Evaluator:
         """What runs: `fused` or `eager`."""
         return self.gram.backend
 
+    def count(self, **more: int) -> None:
+        """Add to the counters; threads may do so at once."""
+        with _COUNTING:
+            for counter, number in more.items():
+                setattr(self, counter, getattr(self, counter) + number)
+
     def definition(self, centers: Tensor) -> Scores:
         """Scores [*pop] of centers [*pop, m, d] by the definition; the reference, slower by a factor of 50."""
         return self.definition_of_each(centers)[0]
@@ -143,11 +152,11 @@ class Evaluator:
         setups = centers.reshape(-1, *centers.shape[-dims:]).to(self.deformation.vertices.dtype)
         finite = all_finite(setups)
         setups = zeroed(setups, finite)
-        regularity, potentials, rank = self._score(setups, finite)
+        parts = in_slices(self, lambda rows: self._score(setups[rows], finite[rows]), setups)
+        regularity, potentials, rank = (torch.cat(column) for column in zip(*parts, strict=True))
         failed = ~(finite & torch.isfinite(regularity) & torch.isfinite(potentials).all(1))
         zero = torch.zeros_like(regularity)
-        self.evaluations += len(setups)
-        self.failed_evaluations += int(failed.sum())
+        self.count(evaluations=len(setups), failed_evaluations=int(failed.sum()))
         variability = rank.to(regularity.dtype) / n
         potentials = torch.where(failed[:, None], 0.0, potentials.clamp(0.0, 1.0))
         found = (torch.where(failed, zero, c) for c in (regularity, self.combination(potentials), variability))
@@ -157,7 +166,7 @@ class Evaluator:
 
     def spectrum(self, centers: Tensor) -> Spectrum:
         """Singular values of U and P of centers [p, m, d], ready for gradients."""
-        return Spectrum(self, centers)
+        return SlicedSpectrum(self, centers)
 
     def factors(self, setups: Tensor, finite: Tensor) -> Factors:
         """Triangular factors of finite setups [p, m, d]; those that are not usable get an identity."""
@@ -172,12 +181,9 @@ class Evaluator:
         potentials = self.combination.norms(y)
         rank = m - empty.sum(1)
         deficient = torch.zeros_like(usable)
-        index = torch.nonzero(usable & ~(sound & (least_regularity(L) >= TRIGGER))).flatten()
-        if len(index):  # the bound is cheap and may be too low: singular values decide
-            sigma = singular_values(L[index])
-            index = index[~(sound[index] & (sigma[:, -1] >= TRIGGER * sigma[:, 0]))]
+        index = torch.nonzero(usable & ~(sound & is_regular(L, TRIGGER))).flatten()
         if len(index):
-            self.further_passes += len(index)
+            self.count(further_passes=len(index))
             L[index], y[index], potentials[index], rank[index], deficient[index] = self._refine(
                 setups[index], G[index], L[index], sound[index], empty[index]
             )
@@ -244,8 +250,7 @@ class Evaluator:
             M = self.gram(setups[pending], T[pending])
             M = torch.where(all_finite(M)[:, None, None], M, 0.0)
             L2, sound = cholesky(M[:, :m, :m] + torch.diag_embed(empty[pending].to(M.dtype)))
-            sigma = singular_values(L2)
-            done = sound & (sigma[:, -1] >= TRIGGER * sigma[:, 0])
+            done = sound & is_regular(L2, TRIGGER)
             T[pending] = torch.where(sound[:, None, None], product(T[pending], L2), T[pending])
             y[pending] = solve_lower(L2, M[:, :m, m:])
             lost.append(pending[~sound])
@@ -253,8 +258,7 @@ class Evaluator:
             if not len(pending):
                 break
         potentials = self.combination.norms(y)
-        sigma = singular_values(T)
-        deficient = sigma[:, -1] <= cutoff(n, m) * sigma[:, 0]
+        deficient = ~is_regular(T, cutoff(n, m))
         deficient[torch.cat([*lost, pending])] = True
         index = torch.nonzero(deficient).flatten()
         if len(index):
@@ -275,7 +279,7 @@ class Evaluator:
 
     def _factorized(self, setups: Tensor) -> tuple[Tensor, ...]:
         """Triangular factor, Q^T g, P and rank by blocked Householder QR of (Phi g), as good as an SVD of Phi."""
-        self.factorizations += len(setups)
+        self.count(factorizations=len(setups))
         found = self._factorize(setups.to(self.deformation.vertices.device))
         return tuple(part.to(setups.device) for part in found)
 
@@ -302,6 +306,20 @@ def decoupled(G: Tensor) -> tuple[Tensor, Tensor]:
     largest = diagonal.amax(1, keepdim=True)
     empty = diagonal == 0
     return G + torch.diag_embed(torch.where(empty, largest.where(largest > 0, 1.0), 0.0)), empty
+
+
+def is_regular(L: Tensor, least: float) -> Tensor:
+    """Whether sigma_min > least sigma_max [p] of triangular L [p, m, m].
+
+    Their ratio lies between `least_regularity` and m times that; only where this decides nothing they are computed.
+    """
+    m, bound = L.shape[-1], least_regularity(L)
+    found = bound > least
+    index = torch.nonzero(~found & ~(bound * m * (1.0 + 1e-9) < least)).flatten()
+    if len(index):
+        sigma = singular_values(L[index])
+        found[index] = sigma[:, -1] > least * sigma[:, 0]
+    return found
 
 
 def least_regularity(L: Tensor) -> Tensor:

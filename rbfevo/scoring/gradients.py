@@ -45,8 +45,7 @@ class Spectrum:
         T, y, potentials, rank, usable, deficient = evaluator.factors(self.centers, finite)
         self._y = torch.where(deficient[:, None, None], 0.0, y)
         m = T.shape[1]
-        evaluator.evaluations += len(centers)
-        evaluator.failed_evaluations += int((~usable).sum())
+        evaluator.count(evaluations=len(centers), failed_evaluations=int((~usable).sum()))
         self._T, self._inverse = T, None
         self.improvable = usable & ~deficient
         self.potentials = torch.where(usable[:, None], potentials.clamp(0.0, 1.0), 0.0)
@@ -100,7 +99,7 @@ class Spectrum:
         no regularity or is not improvable.
         """
         m, k = self._y.shape[1:]
-        self.evaluator.gradients += len(self.centers)
+        self.evaluator.count(gradients=len(self.centers))
         dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
         w = solve_lower(self._T, self._y, transposed=True)
         Z = self._V if self._inverse is None else product(self._inverse, self._V)

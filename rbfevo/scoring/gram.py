@@ -22,6 +22,7 @@ from rbfevo.scoring.representations import RBF, Representation
 from rbfevo.scoring.threads import coarse, run_in_slices
 
 FUSED_BLOCK = 1024  # m = 25 rows of 1024 float64 are 200 KiB: half of a usual second-level cache
+REACHED = 0.75  # share of pairs of a center and a block in reach from which small blocks save less than they cost
 CUDA_BLOCK = 8192
 EAGER_BYTES = 1 << 18  # of one temporary of an eager step on the CPU: in cache
 GPU_SHARE = 16  # one temporary of an eager step takes at most one in so many parts of a GPU's free memory
@@ -76,7 +77,7 @@ class GramAccumulator:
         self.code = -1 if code is None else code
         device = vertices.device
         eager = CUDA_BLOCK if device.type == "cuda" else self.representation.block
-        self.size = block or (FUSED_BLOCK if self.backend == "fused" else eager)
+        self.size = block or (fused_block(vertices, self._support) if self.backend == "fused" else eager)
         self._bytes = torch.cuda.mem_get_info(device)[0] // GPU_SHARE if device.type == "cuda" else EAGER_BYTES
         self.blocks: VertexBlocks = vertex_blocks(vertices, gradient, weights, self.size, blend)
         with coarse():
@@ -207,6 +208,29 @@ class GramAccumulator:
             work(0, count)
         else:
             run_in_slices(work, count)
+
+
+def fused_block(vertices: Tensor, support: float) -> int:
+    """Vertices [n, d] a block for the fused passes, which skip centers whose support [model units] misses a block.
+
+    Each pair of a setup and a block costs some hundred operations, so blocks of large designs, of which a center
+    reaches few anyway, are larger. It depends on no center, so that scores do not depend on the population.
+
+    Args:
+        support: 0 for a kernel without compact support.
+    """
+    if support <= 0:
+        return FUSED_BLOCK
+    if len(vertices) > 4 * FUSED_BLOCK:
+        extent = float((vertices.amax(0) - vertices.amin(0)).max())
+        return FUSED_BLOCK // 2 if support <= 0.5 * extent else FUSED_BLOCK
+    small = FUSED_BLOCK // 4
+    none = vertices[:, :0]
+    blocks = vertex_blocks(vertices, none, torch.ones_like(vertices[:, 0]), small)
+    low, high = blocks.low[:, None], blocks.high[:, None]
+    gap = torch.maximum(low - vertices, vertices - high).clamp_min(0.0).square().sum(2)
+    reached = (gap < support**2).to(vertices.dtype).mean()
+    return small if float(reached) < REACHED else FUSED_BLOCK
 
 
 def kernel_columns(vertices: Tensor, kernel: Kernel) -> Callable[[Tensor], Tensor]:

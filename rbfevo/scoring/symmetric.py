@@ -187,13 +187,13 @@ class MirroredSpectrum(Spectrum):
         snapped = evaluator.snapped(torch.where(kept, centers.detach(), 0.0))
         self.evaluator, self.centers = evaluator, snapped
         self._off = ~evaluator.mirror.on_plane(snapped) if evaluator.representation.dims == 2 else None
-        self._along = along = Spectrum(evaluator.along, torch.where(kept, snapped, torch.nan))
+        self._along = along = evaluator.along.spectrum(torch.where(kept, snapped, torch.nan))
         self._groups: list[tuple[Tensor, Spectrum]] = []
         self.regular, self.improvable = along.regular.clone(), along.improvable.clone()
         self.potentials = along.potentials.clone()
         across = torch.zeros_like(along.sigma)
         for rows, free in evaluator.off_plane(snapped):
-            part = Spectrum(evaluator.across, torch.where(kept[rows], free, torch.nan))
+            part = evaluator.across.spectrum(torch.where(kept[rows], free, torch.nan))
             self._groups.append((rows, part))
             across[rows, : part.sigma.shape[1]] = part.sigma
             self.regular[rows] &= part.regular
@@ -205,8 +205,7 @@ class MirroredSpectrum(Spectrum):
         middle = (lowest * across.amax(1).maximum(along.sigma.amax(1))).sqrt()
         filled = torch.where(across > 0, across, middle[:, None])
         self.sigma = torch.where(self.regular[:, None], torch.cat((along.sigma, filled), dim=1), 1.0)
-        evaluator.evaluations += len(centers)
-        evaluator.failed_evaluations += int((~finite).sum())
+        evaluator.count(evaluations=len(centers), failed_evaluations=int((~finite).sum()))
 
     @property
     def regularity(self) -> Tensor:
@@ -218,7 +217,7 @@ class MirroredSpectrum(Spectrum):
     def backward(self, dlog_sigma: Tensor, dpotential: Tensor) -> Tensor:
         """Gradient [p, m, d] in the centers of a function with gradients [p, 2m] in log sigma, and in P as there."""
         m = self._along.sigma.shape[1]
-        self.evaluator.gradients += len(self.centers)
+        self.evaluator.count(gradients=len(self.centers))
         dlog_sigma = torch.where(self.regular[:, None], dlog_sigma, 0.0)
         if dpotential.ndim == 1:  # which of the objectives is the active one is decided by both blocks together
             dpotential = dpotential[:, None] * self.evaluator.combination.slopes(self.potentials)

@@ -7,9 +7,11 @@ import functools
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import torch
 
+Result = TypeVar("Result")
 _place = threading.local()  # threads: how many the caller of `coarse` in this thread had
 
 
@@ -24,20 +26,46 @@ def run_in_slices(work: Callable[[int, int], None], count: int) -> None:
     Every element's result must not depend on the slice that it falls in. Within a slice, further slices are not cut.
     """
     with coarse() as threads:
-        if threads == 1 or count <= 1:
-            work(0, count)
-            return
+        step = count if threads == 1 else -(-count // (4 * threads))
+        _run(work, count, step, threads)
 
-        def piece(begin: int, end: int) -> None:
-            if not hasattr(_place, "threads"):  # a thread of the pool, which never has more than one
-                torch.set_num_threads(1)
-                _place.threads = 1
+
+def results_of_slices(work: Callable[[slice], Result], count: int, most: int) -> list[Result]:
+    """The results of work(rows) on slices of range(count), in order; `most` elements need no slices.
+
+    Work is as of `run_in_slices`, but consists of many small operations. Threads that share these wait for each other
+    more than they gain until the elements are large.
+    """
+    found: dict[int, Result] = {}
+
+    def piece(begin: int, end: int) -> None:
+        found[begin] = work(slice(begin, end))
+
+    with coarse() as threads:
+        _run(piece, count, count if count <= most else min(most, -(-count // threads)), threads)
+    return [found[begin] for begin in sorted(found)]
+
+
+def _run(work: Callable[[int, int], None], count: int, step: int, threads: int) -> None:
+    """Call work(begin, end) on slices of `step` elements; with nothing to do, or one slice, on the calling thread."""
+    if count <= max(step, 1):
+        work(0, count)
+        return
+    cuts = [(begin, min(begin + step, count)) for begin in range(0, count, step)]
+    if threads == 1:
+        for begin, end in cuts:
             work(begin, end)
+        return
 
-        step = max(1, -(-count // (4 * threads)))
-        futures = [_pool(threads).submit(piece, i, min(i + step, count)) for i in range(0, count, step)]
-        for future in futures:
-            future.result()
+    def piece(begin: int, end: int) -> None:
+        if not hasattr(_place, "threads"):  # a thread of the pool, which never has more than one
+            torch.set_num_threads(1)
+            _place.threads = 1
+        work(begin, end)
+
+    futures = [_pool(threads).submit(piece, begin, end) for begin, end in cuts]
+    for future in futures:
+        future.result()
 
 
 @contextlib.contextmanager
