@@ -70,8 +70,8 @@ class Union(NamedTuple):
         if not path.exists():
             return None
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
-            arrays = [torch.from_numpy(file[name]) for name in ("centers", "objectives", "source")]
-            return cls(*arrays, tuple(file["sources"].tolist()))
+            centers, objectives, source = (torch.from_numpy(file[name]) for name in ("centers", "objectives", "source"))
+            return cls(centers, objectives, source, tuple(file["sources"].tolist()))
 
     def write(self, panel: Panel, directory: Path = DIRECTORY) -> None:
         """Write it to disk."""
@@ -175,8 +175,9 @@ def compared(panel: Panel, seed: int, *overrides: str) -> Compared:
         search.step()
     seconds = time.perf_counter() - begin
     objectives = run.evaluator.definition(search.rows()[0].centers).objectives
-    ends = (objectives.amax(0) / held.objectives.amax(0)).tolist()
-    return Compared(panel.name, seed, hypervolume(objectives) / hypervolume(held.objectives), *ends, seconds)
+    regularity, potential = (objectives.amax(0) / held.objectives.amax(0)).tolist()
+    share = hypervolume(objectives) / hypervolume(held.objectives)
+    return Compared(panel.name, seed, share, regularity, potential, seconds)
 
 
 def misses(found: list[Compared]) -> list[str]:

@@ -306,6 +306,7 @@ def test_a_climb_is_given_the_gradients_of_its_values(
 
 def test_only_points_that_are_accepted_get_gradients(egg: dict[str, Any]) -> None:
     stage, problem = problem_of(gradient(), scenario=egg, centers=5)
+    assert isinstance(stage, GradientSearch)
     stage.start(problem)
     points = stage._placed(stage._climb.ask())
     given = problem, points, stage._team.aim, 16.0, None, None

@@ -174,7 +174,7 @@ def _fill_both(c, X, begin, end, code, support, W, row, slope):
             row[i], slope[i] = phi * W[i], derivative * W[i]
     elif code == THIN_PLATE:
         for i in range(row.size):
-            phi, derivative = _thin_plate(slope[i])
+            phi, derivative = _thin_plate(slope[i])  # pyright: ignore[reportGeneralTypeIssues]
             row[i], slope[i] = phi * W[i], derivative * W[i]
     else:
         for i in range(row.size):
