@@ -510,9 +510,7 @@ def test_never_raises_and_agrees_with_the_definition(
 
 MEMORY = """
     import re, sys, torch
-    from rbfevo.scoring import evaluator as evaluators
-from rbfevo.scoring import sliced
-from rbfevo.scoring.evaluator import Evaluator, is_regular
+    from rbfevo.scoring.evaluator import Evaluator
     from rbfevo.scoring.kernels import ThinPlate, Wendland
 
     def status(field):  # kB

@@ -66,6 +66,7 @@ OPERATIONS: dict[str, Callable[[Tensor, int], tuple[Tensor, ...]]] = {
         for transposed in (False, True)
     ),
     "solve": lambda A, m: (matrices.solve(A, A.mT), matrices.solve(A, A[:, :, :1])),
+    "inverse": lambda A, m: matrices.inverse_definite(matrices.gram(A)),
     "singular values": lambda A, m: (matrices.singular_values(A),),
     "left singular": lambda A, m: matrices.left_singular(A),
     "left spectrum": lambda A, m: matrices.left_spectrum(A),
@@ -161,6 +162,9 @@ def test_matrices_without_a_factor_or_an_inverse_leave_the_others_alone() -> Non
     assert torch.equal(L[0], L[2])
     assert torch.equal(L[:1], matrices.cholesky(G[:1])[0])
     A = torch.stack([square(5), torch.zeros(5, 5, dtype=torch.float64)])
+    inverse, sound = matrices.inverse_definite(G)
+    assert sound.tolist() == [True, False, True]
+    np.testing.assert_allclose(inverse[0].numpy(), np.linalg.inv(G[0].numpy()), rtol=1e-9, atol=1e-12)
     solution = matrices.solve(A, A)
     torch.testing.assert_close(solution[0], torch.eye(5, dtype=torch.float64))
     assert not solution[1].isfinite().all()

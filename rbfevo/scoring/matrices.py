@@ -77,6 +77,18 @@ def solve(A: Tensor, B: Tensor) -> Tensor:
     return _cut(torch.linalg.lu_solve(LU, pivots, _filled(B)), *B.shape[1:])
 
 
+@coarse()
+def inverse_definite(A: Tensor) -> tuple[Tensor, Tensor]:
+    """Inverses [p, m, m] of symmetric A [p, m, m], the identity where A is not positive definite, and where it is [p].
+
+    By Cholesky's method: a fifth of the operations of `solve` with as many right-hand sides.
+    """
+    m = A.shape[-1]
+    L, sound = cholesky(A)
+    inverse = _cut(torch.cholesky_inverse(_filled(L, identity=True)), m, m)
+    return inverse, sound
+
+
 def singular_values(A: Tensor) -> Tensor:
     """Singular values [p, m], falling, of A [p, m, m]."""
     return _shared(lambda A: (torch.linalg.svdvals(_filled(A))[:, : A.shape[1]],), A)[0]
@@ -149,6 +161,8 @@ def _filled(A: Tensor, identity: bool = False) -> Tensor:
     if A.is_cuda:
         return A
     p, r, c = A.shape
+    if r % ROWS == 0 and c % ROWS == 0:
+        return A.clone(memory_format=torch.contiguous_format)
     out = A.new_zeros(p, -(-r // ROWS) * ROWS, -(-c // ROWS) * ROWS)
     out[:, :r, :c] = A
     if identity:

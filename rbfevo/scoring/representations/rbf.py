@@ -95,17 +95,26 @@ class RBF(Representation):
         import torch
 
         from rbfevo.scoring.evolvability import singular
-        from rbfevo.scoring.matrices import all_finite, solve
+        from rbfevo.scoring.matrices import all_finite, inverse_definite, product, solve
 
         if manipulation == "indirect":
             return super().reduce(setups, factor, manipulation)
         m = setups.shape[1]
         Psi = self.psi(setups)
         identity = torch.eye(m, dtype=Psi.dtype, device=Psi.device)
-        solution = solve(Psi, torch.cat((factor, identity.expand_as(factor)), dim=2))  # Psi = Psi^T
-        lost = singular(Psi, solution[:, :, m:]) | ~all_finite(solution)
-        solution = torch.where(lost[:, None, None], torch.cat((identity, identity), dim=1), solution)
-        return Reduced(solution[:, :, :m], solution[:, :, m:], lost)
+        if self.kernel.positive_definite and self.image is None:
+            inverse, sound = inverse_definite(Psi)
+            reduced = product(inverse, factor)
+            index = torch.nonzero(~sound).flatten()
+        else:
+            reduced, inverse = torch.empty_like(factor), torch.empty_like(Psi)
+            index = torch.arange(len(Psi), device=Psi.device)
+        if len(index):  # Psi = Psi^T
+            solution = solve(Psi[index], torch.cat((factor[index], identity.expand_as(Psi[index])), dim=2))
+            reduced[index], inverse[index] = solution[:, :, :m], solution[:, :, m:]
+        lost = singular(Psi, inverse) | ~(all_finite(reduced) & all_finite(inverse))
+        reduced = torch.where(lost[:, None, None], identity, reduced)
+        return Reduced(reduced, torch.where(lost[:, None, None], identity, inverse), lost)
 
     def matrix(self, phi: Tensor, setup: Tensor, manipulation: str) -> Tensor | None:
         """Phi, or Phi Psi^-1; None where Psi is numerically singular."""
