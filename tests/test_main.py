@@ -57,7 +57,7 @@ MISTAKES = {
     "method=lloyd preference=0.3": "leave it out, or choose method=blend or cmaes or gradient",
     "method=ols preference=[0,1]": "preference=[0,1]: method=ols finds the same setups without it",
     "method=random preference=1": "method=random finds the same setups without it",
-    "method=gradient method.population=288": "starts=160: at least population=288 is needed",
+    "method=gradient method.population=488": "starts=320: at least population=488 is needed",
     "method.nsga2.population=101": "even population",
     "method=nsga2 method.population=2": "even population",
     "method=nsga2 method.generations=0": "at least 1",
@@ -134,7 +134,7 @@ def run(directory: Path, *overrides: str) -> dict[str, np.ndarray]:
 
 
 def test_more_elements_than_starts_where_starts_are_not_used(tmp_path: Path) -> None:
-    arguments = ("method=gradient", "method.population=288", "preference=0", "method.generations=2", "method.polish=1")
+    arguments = ("method=gradient", "method.population=488", "preference=0", "method.generations=2", "method.polish=1")
     arguments += ("centers=4",)
     assert run(tmp_path, *arguments)["preference"].tolist()[-1] == 0.0
 

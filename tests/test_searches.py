@@ -27,6 +27,7 @@ from rbfevo.methods.ols import OlsHeuristic, ols
 from rbfevo.runs.run import Run
 from rbfevo.scoring.evolvability import Scores
 from rbfevo.scoring.fronts import preferred
+from rbfevo.scoring.pareto import nondominated
 from rbfevo.scoring.representations import RBF
 
 NSGA2 = {"_target_": "rbfevo.methods.Nsga2Search", "population": 12, "generations": 3}
@@ -222,18 +223,73 @@ def test_the_two_teams_of_a_front_take_up_its_ends() -> None:
     best_R, best_P = points[objectives[:, 0].argmax()], points[objectives[:, 1].argmax()]
     assert len(climb.points) == 16
     assert torch.equal(climb.points[0], best_R)  # the best of each team goes on, and its last comes over to the end
-    assert torch.equal(climb.points[1], best_R)
-    assert torch.equal(climb.points[2], best_P)
+    assert torch.equal(climb.points[2], best_R)
     assert torch.equal(climb.points[3], best_P)
+    assert torch.equal(climb.points[5], best_P)
     log_R, P = torch.full((16,), -1.0, dtype=torch.float64), torch.full((16,), 0.5, dtype=torch.float64)
     _, in_R, in_P = team.aim(log_R, P)
-    assert bool((in_P[:2] == 0).all())  # the first team climbs in R alone, the second in P alone
-    assert bool((in_R[2:4] == 0).all())
-    assert bool((in_R[:2] > 0).all())
-    assert bool((in_P[2:4] > 0).all())
+    assert bool((in_P[:3] == 0).all())  # the first team climbs in R alone, the second in P alone
+    assert bool((in_R[3:6] == 0).all())
+    assert bool((in_R[:3] > 0).all())
+    assert bool((in_P[3:6] > 0).all())
     last = team.redeploy(climb, last=True)
     assert torch.equal(last.points[0], best_P)  # along the front, from the least R on
     assert torch.equal(last.points[-1], best_R)
+
+
+def test_who_starts_on_the_front_has_the_memory_of_who_was_there() -> None:
+    like, generator = torch.zeros(1, dtype=torch.float64), torch.Generator().manual_seed(3)
+    team = FrontTeam(starts=40, size=16, front=10, like=like)
+    climb = LBFGS(torch.rand(40, 4, generator=generator, dtype=torch.float64), memory=3)
+    tried = []
+    for _ in range(4):  # each element goes its own way along its own arc
+        points = climb.ask().clone()
+        radius = 0.5 + 0.1 * points.sum(1)
+        objectives = radius[:, None] * torch.stack((points[:, 0] + 0.1, 1.1 - points[:, 0]), 1) / 2.0
+        climb.tell(objectives.sum(1), torch.ones_like(points) - points)
+        team.move(climb, points, objectives, climb.accepted)
+        tried.append(points)
+    before = climb
+    climb = team.redeploy(climb, last=False)
+    for place in range(6, 16):
+        met = {int(k) for points in tried for k in (points == climb.points[place]).all(1).nonzero().flatten()}
+        assert any(
+            torch.equal(climb._steps[:, place], before._steps[:, k])
+            and torch.equal(climb._rho[:, place], before._rho[:, k])
+            for k in met
+        )
+    memories = {tuple(memory.flatten().tolist()) for memory in climb._steps[:, 6:].unbind(1)}
+    assert len(memories) > 3
+    assert (climb._rho[:, [2, 5]] == 0).all()  # what came over to an end has none
+    assert bool((before._rho != 0).any())
+    archive = team._archive
+    assert archive is not None
+    for row in (archive.points[:, None] == climb.points[6:]).all(2).nonzero().tolist():
+        assert bool((climb.points[archive.elements[row[0]]] == archive.points[row[0]]).all())
+    assert bool((archive.elements >= 6).all())
+
+
+def test_another_design_changes_what_was_found_there() -> None:
+    like, generator = torch.zeros(1, dtype=torch.float64), torch.Generator().manual_seed(3)
+    points, objectives = (torch.rand(40, k, generator=generator, dtype=torch.float64) for k in (4, 2))
+
+    def score(points: Tensor) -> Tensor:
+        return torch.stack((points[:, 0], points[:, 1]), 1)
+
+    front = FrontTeam(starts=40, size=16, front=10, like=like)
+    wishes = WishTeam(8, torch.tensor([0.2, 0.8], dtype=torch.float64), generator)
+    for team, count in ((front, 40), (wishes, 8)):
+        climb = LBFGS(points[:count])
+        team.move(climb, points[:count], objectives[:count], torch.ones(count, dtype=torch.bool))
+        found = team.found()[0]
+        team.rescore(score)
+        assert torch.equal(team.standing, score(points[:count]))
+        again = team.found()
+        assert torch.equal(again[1], score(again[0]))
+        assert all((found == point).all(1).any() for point in again[0])
+    assert bool(nondominated(front.found()[1]).all())
+    (_, _, preference), value = wishes.found(), wishes._value
+    assert torch.equal(value, preferred(preference, wishes.found()[1]))
 
 
 def test_what_a_preference_has_found_outlives_a_resume() -> None:

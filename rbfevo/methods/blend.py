@@ -26,7 +26,7 @@ from rbfevo.scoring.fronts import preferred
 COARSE = 2000  # vertices on which starts are made and compared, and setups climb
 CANDIDATES = {2: 40, 3: 13}  # along each axis of the box
 RELAXED = (0, 3, 10)  # steps towards the middles of the cells after which a setup is a start
-SHARPNESS = 16.0  # of the smooth R, as in the first round of `method=gradient`
+SHARPNESS = 16.0  # of the smooth R
 
 
 class BlendHeuristic(Heuristic):

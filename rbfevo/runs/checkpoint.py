@@ -20,7 +20,7 @@ from rbfevo.errors import UserError
 from rbfevo.files import write_whole
 from rbfevo.runs.directory import CHECKPOINT as NAME
 
-FORMAT = 1
+FORMAT = 2
 _ARRAY = "\0array"  # the key of a JSON object that stands for an array
 
 

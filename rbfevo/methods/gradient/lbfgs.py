@@ -66,10 +66,13 @@ class LBFGS:
 
     def restart(self, rows: Tensor, points: Tensor) -> None:
         """Put elements `rows` [k] at new points [k, D], without memory."""
-        self.points[rows] = points
-        self._rho[:, rows] = 0.0
-        self._scale[rows] = 0.0
+        self._forget(rows)
         self._rejected[rows] = 0
+        self.put(rows, points)
+
+    def put(self, rows: Tensor, points: Tensor) -> None:
+        """Put elements `rows` [k] at new points [k, D], with the memory that they have."""
+        self.points[rows] = points
         self.revalue()
 
     def revalue(self) -> None:

@@ -16,10 +16,10 @@ from rbfevo.methods.method import Method, Problem, Rows, at_least_one, starts_of
 from rbfevo.methods.ols import OlsHeuristic
 
 ROUNDS = 5
-FIRST_ROUND = 0.3  # of the generations: starts climb on their own before the front is looked at
+FIRST_ROUND = 0.18  # of the generations: starts climb on their own before the front is looked at
 REFRESH = 10  # generations of the first round after which the smoothing is fitted to what R has become
-SHARPNESS = 16.0  # of the smooth R and the smooth least P in the first round; doubled in every later one
-SCATTER = 0.05  # of the box: standard deviation of the most scattered copy of a heuristic setup
+SHARPNESS = 8.0  # of the smooth R and the smooth least P in the first round; doubled in every later one
+SCATTER = 0.1  # of the box: standard deviation of the most scattered copy of a heuristic setup
 
 
 class GradientSearch(Method):
@@ -27,8 +27,8 @@ class GradientSearch(Method):
 
     A generation is one value and gradient of `population` setups: `generations` of them on a design of about `coarse`
     weighted vertices, then `polish` on all vertices. Starts are copies of the Lloyd and the OLS setup, scattered, and
-    random setups. After each of five rounds the setups are put where the front found so far has most to gain, but for
-    two teams that go on for R and for P alone.
+    random setups, which climb on a design of about `rough` vertices. After each of five rounds the setups are put where
+    the front found so far has most to gain, but for two teams that go on for R and for P alone.
 
     Args:
         starts: setups that climb in the first round; not used for preferences.
@@ -37,6 +37,7 @@ class GradientSearch(Method):
         polish: generations on all vertices.
         front: setups of the front that are returned; at least 2.
         coarse: vertices of the coarse design, about; at least 100.
+        rough: vertices of the design of the first round, about; at least 100 and at most `coarse`.
         memory: pairs that the quasi-Newton method keeps of each setup.
         start: files with setups to start from: they, and scattered copies of them, take the places of every second
             random setup. They are candidates for the result as they are, too.
@@ -47,16 +48,18 @@ class GradientSearch(Method):
 
     def __init__(
         self,
-        starts: int = 160,
-        population: int = 72,
-        generations: int = 170,
+        starts: int = 320,
+        population: int = 48,
+        generations: int = 280,
         polish: int = 15,
         front: int = 100,
         coarse: int = 2000,
-        memory: int = 20,
+        rough: int = 800,
+        memory: int = 40,
         start: Any = None,
     ) -> None:
         least = {"population": (population, 16), "front": (front, 2), "coarse": (coarse, 100)}
+        least["rough"] = (rough, 100)
         for name, (value, smallest) in least.items():
             if value < smallest:
                 raise UserError(f"gradient: {name}={value}: at least {smallest} is needed")
@@ -66,8 +69,8 @@ class GradientSearch(Method):
         self.steps = self.generations + self.polish
         self.starts = at_least_one("gradient: starts", starts)
         self.population = population
-        self.initial = max(starts, population)  # of which each has a random setup of its own to start at
-        self.front, self.coarse = front, coarse
+        self.initial = max(starts // 2, population)  # random setups: no more than half of the starts are random
+        self.front, self.coarse, self.rough = front, coarse, min(rough, coarse)
         self.begins = starts_of(start, self.name, population // 8)
         first = max(1, round(FIRST_ROUND * self.generations))
         later = (self.generations - first) / (ROUNDS - 1)
@@ -86,7 +89,8 @@ class GradientSearch(Method):
 
     def start(self, problem: Problem) -> None:
         self.check(problem.preferences)
-        self._fine, self._problem = problem, problem.coarsened(self.coarse)
+        self._fine, self._coarse = problem, problem.coarsened(self.coarse)
+        self._problem = problem.coarsened(self.rough)
         self._side = problem.space.upper - problem.space.lower
         self._step, self._sharpness, self._renew = 0, SHARPNESS, True
         self._exponents: Tensor | None = None
@@ -137,6 +141,9 @@ class GradientSearch(Method):
     def step(self) -> None:
         if self._step in self._ends:
             last = self._step == self.generations
+            if self._step == self._ends[0]:
+                self._problem = self._coarse
+                self._team.rescore(self._objectives)
             self._climb, self._near = self._team.redeploy(self._climb, last), None
             self._problem = self._fine if last else self._problem
             if last:
@@ -182,8 +189,12 @@ class GradientSearch(Method):
         self._climb.load_state_dict(state["climb"])
         self._team.load_state_dict(state["team"], self._climb)
         self._generator.set_state(state["generator"].cpu())
-        if self._step > self.generations:  # the polish has begun
-            self._problem = self._fine
+        if self._step > self._ends[0]:
+            self._problem = self._fine if self._step > self.generations else self._coarse
+
+    def _objectives(self, points: Tensor) -> Tensor:
+        """R and P [p, 2] of points [p, D] of the unit box."""
+        return self._problem.evaluate(self._problem.space.place(self._placed(points))).objectives
 
     def _placed(self, points: Tensor) -> Tensor:
         """Points [p, D] of the unit box as points [p, *setup] of the box."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import math
+from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -41,6 +42,10 @@ class Team(abc.ABC):
         """Take points [size, D] that were tried, with objectives [size, 2], accepted or not."""
 
     @abc.abstractmethod
+    def rescore(self, score: Callable[[Tensor], Tensor]) -> None:
+        """The design has changed: `score` gives the objectives [p, 2] of points [p, D] on the new one."""
+
+    @abc.abstractmethod
     def redeploy(self, climb: LBFGS, last: bool) -> LBFGS:
         """Put the elements where there is most to gain; before the last round, objectives of another design follow."""
 
@@ -71,13 +76,13 @@ class Team(abc.ABC):
 class FrontTeam(Team):
     """Along the whole front: of the starts three eighths each for R and for P, which have many local maxima.
 
-    After the first round `size` go on: an eighth for R, an eighth for P, the others between.
+    After the first round `size` go on: three sixteenths for R, as many for P, the others between.
     """
 
     def __init__(self, starts: int, size: int, front: int, like: Tensor) -> None:
         self.size, self.front = size, front
         self.standing, self.points = like.new_zeros(0, 2), like.new_zeros(0, 0)
-        self._eighth, ends = size // 8, 3 * starts // 8
+        self._alone, ends = 3 * size // 16, 3 * starts // 8
         golden = (torch.arange(starts, dtype=like.dtype, device=like.device) * (math.sqrt(5.0) - 1.0) / 2.0).frac()
         weights = golden.clone()
         weights[:ends], weights[starts - ends :] = 1.0, 0.0
@@ -91,11 +96,7 @@ class FrontTeam(Team):
 
     def state_dict(self) -> dict[str, Any]:
         """The archive too."""
-        archive = self._archive
-        saved = (
-            None if archive is None else {"points": archive.points.clone(), "objectives": archive.objectives.clone()}
-        )
-        return {**super().state_dict(), "archive": saved}
+        return {**super().state_dict(), "archive": None if self._archive is None else self._archive.state_dict()}
 
     def load_state_dict(self, state: dict[str, Any], climb: LBFGS) -> None:
         """The archive too."""
@@ -103,7 +104,7 @@ class FrontTeam(Team):
         saved, self._archive = state["archive"], None
         if saved is not None:
             self._archive = Archive(saved["points"], limit=10 * self.front)
-            self._archive.points, self._archive.objectives = saved["points"], saved["objectives"]
+            self._archive.load_state_dict(saved)
 
     def origins(self) -> tuple[Tensor, Tensor]:
         """R from Lloyd and random setups, P from OLS, what lies between from all three."""
@@ -115,34 +116,50 @@ class FrontTeam(Team):
             self._archive = Archive(points, limit=10 * self.front)
         self._archive.add(points, objectives)
 
+    def rescore(self, score: Callable[[Tensor], Tensor]) -> None:
+        """The archive and where the elements stand."""
+        self.standing = score(self.points)
+        if self._archive is not None:
+            before, self._archive = self._archive, None
+            self._archive = Archive(before.points, limit=before.limit)
+            self._archive.add(before.points, score(before.points), before.elements)
+
     def redeploy(self, climb: LBFGS, last: bool) -> LBFGS:
-        """The two teams go on with their best; the others go where the front loses most without them."""
+        """The two teams go on with their best; the others go where the front loses most without them.
+
+        They take the place, and the quasi-Newton memory, of the element that met what they start from.
+        """
         archive = self._archive
         if archive is None:
             return climb
         device = climb.points.device
-        count = self.size if last else self.size - 2 * self._eighth
+        alone = 0 if last else 2 * self._alone
+        count = self.size - alone
         rows = well_spread(archive.objectives, count)
         rows = rows[torch.arange(count, device=device) * len(rows) // count]  # a short front is shared
         normals, span = front_normals(archive.objectives, rows)
-        points, ends = archive.points[rows], archive.points[[0, -1]]
+        points, ends, elements = archive.points[rows], archive.points[[0, -1]], archive.elements[rows]
         if last:
             normals[0], normals[-1] = normals.new_tensor([0.0, 1.0]), normals.new_tensor([1.0, 0.0])
             self.aim = Tchebycheff(normals, span, TAU)
             self._archive = None
-            return climb.anew(points)
+            climb = climb.only(elements)
+            climb.put(torch.arange(count, device=device), points)
+            return climb
         free = torch.ones(len(self.standing), dtype=torch.bool, device=device)
         chosen: list[Tensor] = []
         for objective in (0, 1):
             order = self.standing[:, objective].where(free, -1.0).argsort(descending=True, stable=True)
-            chosen.append(order[: self._eighth])
+            chosen.append(order[: self._alone])
             free[chosen[-1]] = False
-        rows = torch.cat((*chosen, free.nonzero().squeeze(1)[:count]))
-        climb, self.standing = climb.only(rows), self.standing[rows]
-        alone = 2 * self._eighth
-        climb.restart(torch.tensor([self._eighth - 1, alone - 1], device=device), ends.flip(0))
-        climb.restart(torch.arange(alone, self.size, device=device), points)
-        toward = normals.new_tensor([[1.0, 0.0], [0.0, 1.0]]).repeat_interleave(self._eighth, 0)
+        going = torch.cat((*chosen, elements))
+        climb, self.standing = climb.only(going), self.standing[going]
+        climb.restart(torch.tensor([self._alone - 1, alone - 1], device=device), ends.flip(0))
+        climb.put(torch.arange(alone, self.size, device=device), points)
+        # What the archive holds belongs to the element that starts next to it on the front.
+        along = torch.searchsorted(rows, torch.arange(len(archive.elements), device=device))
+        archive.elements = alone + along.clamp(max=count - 1)
+        toward = normals.new_tensor([[1.0, 0.0], [0.0, 1.0]]).repeat_interleave(self._alone, 0)
         self.aim = Tchebycheff(torch.cat((toward, normals)), span, TAU)
         return climb
 
@@ -209,6 +226,13 @@ class WishTeam(Team):
         self._value = torch.where(better, value, self._value)
         self._best = torch.where(better[:, None], points[index], best)
         self._objectives = torch.where(better[:, None], objectives[index], self._objectives)
+
+    def rescore(self, score: Callable[[Tensor], Tensor]) -> None:
+        """The best for each preference, and where the elements stand."""
+        self.standing = score(self.points)
+        if self._best is not None:
+            self._objectives = score(self._best)
+            self._value = preferred(self.preferences[:, None], self._objectives).diagonal().clone()
 
     def redeploy(self, climb: LBFGS, last: bool) -> LBFGS:
         """Replace the worse half; in the last round only the best quarter of each preference climbs."""

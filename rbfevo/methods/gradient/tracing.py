@@ -167,16 +167,26 @@ class Archive:
     """The nondominated setups met so far: points [p, D] and objectives [p, 2] (R, P), sorted by R.
 
     Beyond `limit` it is thinned out to half of that, so that it keeps most of the hypervolume.
+
+    Attributes:
+        elements: [p] which element met each of them.
     """
 
     def __init__(self, points: Tensor, limit: int) -> None:
         self.limit = max(limit, 4)
         self.points = points[:0]
         self.objectives = points.new_zeros(0, 2)
+        self.elements = torch.zeros(0, dtype=torch.long, device=points.device)
 
-    def add(self, points: Tensor, objectives: Tensor) -> None:
-        """Take points [k, D] with objectives [k, 2]; what is dominated then is dropped, of duplicates all but one."""
+    def add(self, points: Tensor, objectives: Tensor, elements: Tensor | None = None) -> None:
+        """Take points [k, D] with objectives [k, 2]; what is dominated then is dropped, of duplicates all but one.
+
+        Args:
+            elements: [k] which element met each of them; None: element i met point i.
+        """
+        own = torch.arange(len(points), device=points.device) if elements is None else elements
         points, objectives = torch.cat((self.points, points)), torch.cat((self.objectives, objectives))
+        own = torch.cat((self.elements, own))
         rows = nondominated(objectives).nonzero().squeeze(1)
         rows = rows[objectives[rows, 0].argsort(stable=True)]
         first = torch.ones_like(rows, dtype=torch.bool)
@@ -184,4 +194,12 @@ class Archive:
         rows = rows[first]
         if len(rows) > self.limit:
             rows = rows[well_spread(objectives[rows], self.limit // 2)]
-        self.points, self.objectives = points[rows], objectives[rows]
+        self.points, self.objectives, self.elements = points[rows], objectives[rows], own[rows]
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Points, objectives and elements; copies."""
+        return {name: getattr(self, name).clone() for name in ("points", "objectives", "elements")}
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Continue where `state_dict` was taken."""
+        self.points, self.objectives, self.elements = state["points"], state["objectives"], state["elements"]
