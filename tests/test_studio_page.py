@@ -130,8 +130,12 @@ def test_a_click_selects_and_keys_walk(painted_page: Painted) -> None:
         " return [box.x + f._size.l + f.xaxis.d2p(x), box.y + f._size.t + f.yaxis.d2p(y)]; }",
         shown[row].tolist(),
     )
-    page.mouse.move(at[0] - 3, at[1])
-    page.mouse.move(*at)
+    for _ in range(100):  # a busy browser may draw the plot anew under the mouse
+        page.mouse.move(at[0] - 3, at[1])
+        page.mouse.move(*at)
+        page.wait_for_timeout(200)
+        if page.locator(".hoverlayer .hovertext").count():
+            break
     page.wait_for_selector(".hoverlayer .hovertext")
     page.mouse.click(*at)
     chosen = until(page, lambda: abs(int(facts(page)["setup"].split()[0]) - 1 - row) <= 3 and facts(page))
