@@ -2,7 +2,7 @@
 
 Each point is measured in a process of its own, on one thread, so that its parts add up: the Gram passes over the
 vertices, the backward passes, the m x m matrices, and what is left to the search itself. From m = 200 on a search has a
-tenth of its generations, and its seconds are ten times those measured. Exponents are slopes between neighbours.
+tenth of its generations, and its seconds are scaled up by what is missing. Exponents are slopes between neighbours.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import torch
 from benchmarks.bench_cases import Case, kernel, scenario
 from benchmarks.measure import in_child, peak_memory
 from benchmarks.panels import PANELS
+from rbfevo.methods import GradientSearch
 from rbfevo.runs import storage
 from rbfevo.runs.run import Run
 from rbfevo.scoring.gradients import Spectrum
@@ -130,8 +131,10 @@ def scored(vertices: int, support: float | None) -> dict[str, float]:
 def search_point(centers: int) -> Point:
     """The search time of so many centers."""
     share = 0.1 if centers >= TENTH else 1.0
-    found = in_child(searched, centers=centers, generations=round(170 * share), polish=max(1, round(15 * share)))
-    factor = 170 / round(170 * share)
+    whole = GradientSearch()
+    generations, polish = round(whole.generations * share), max(1, round(whole.polish * share))
+    found = in_child(searched, centers=centers, generations=generations, polish=polish)
+    factor = whole.steps / (generations + polish)
     gram, backward, matrices = (factor * found.get(name, 0.0) for name in ("gram", "backward", "matrices"))
     seconds = factor * (found["seconds"] - found["start"]) + found["start"]
     other = seconds - gram - backward - matrices

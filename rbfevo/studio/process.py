@@ -119,6 +119,6 @@ def _carry_out(search: Search, task: Task, connection: Connection) -> None:
         connection.send(Failure(task.number, str(error)))
     except (OSError, EOFError):
         raise
-    except Exception as error:  # the page says so, and the next stroke is searched again
+    except Exception as error:  # the page shows it, and the next stroke is searched again
         traceback.print_exc()
         connection.send(Failure(task.number, f"the search failed: {type(error).__name__}: {error}"))
