@@ -122,14 +122,16 @@ def test_the_front_follows(painted_page: Painted) -> None:
 def test_a_click_selects_and_keys_walk(painted_page: Painted) -> None:
     page, _, _, _ = painted_page
     shown = front(page)
-    row = len(shown) // 2
     page.locator("#front").scroll_into_view_if_needed()
-    at = page.evaluate(
-        "([x, y]) => { const plot = document.querySelector('#front .js-plotly-plot'), f = plot._fullLayout;"
+    places = np.array(page.evaluate(
+        "(shown) => { const plot = document.querySelector('#front .js-plotly-plot'), f = plot._fullLayout;"
         " const box = plot.getBoundingClientRect();"
-        " return [box.x + f._size.l + f.xaxis.d2p(x), box.y + f._size.t + f.yaxis.d2p(y)]; }",
-        shown[row].tolist(),
-    )
+        " return shown.map(([x, y]) => [box.x + f._size.l + f.xaxis.d2p(x), box.y + f._size.t + f.yaxis.d2p(y)]); }",
+        shown.tolist(),
+    ))  # fmt: skip
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    row = 1 + int(np.minimum(steps[:-1], steps[1:]).argmax())  # where no neighbour is clicked in its place
+    at = places[row].tolist()
     for _ in range(100):  # a busy browser may draw the plot anew under the mouse
         page.mouse.move(at[0] - 3, at[1])
         page.mouse.move(*at)
@@ -164,12 +166,11 @@ def test_a_click_selects_and_keys_walk(painted_page: Painted) -> None:
 
 def test_a_drag_of_a_handle_deforms(painted_page: Painted) -> None:
     page, _, directory, _ = painted_page
-    page.keyboard.press("k")
+    page.keyboard.press("p")
     page.keyboard.press("g")
     until(page, lambda: get(page, "mode") == "pull" and "largest displacement" in facts(page))
-    before = facts(page)
     state = kept(directory, page)
-    assert state.chosen is not None
+    assert state.chosen == 0
     seen = Camera.of(*camera(page))
     from rbfevo.studio.searching import Search, Task  # with torch
 
@@ -178,11 +179,33 @@ def test_a_drag_of_a_handle_deforms(painted_page: Painted) -> None:
     from rbfevo.studio.pulling import Chosen
 
     shown = Chosen(state.share)
-    shown.take(record, float(np.linalg.norm(state.field)), state.centers[state.chosen])
-    places = seen.places(shown.places()[0])
-    center = int(np.abs(places - 0.5).max(axis=1).argmin())
-    assert np.abs(places[center] - 0.5).max() < 0.4
-    x, y = places[center]
+
+    def farther() -> tuple[int, int]:
+        """A setup of the front, and a control point in view whose pull raises the largest displacement."""
+        for row in reversed(range(len(state.centers))):
+            shown.take(record, float(np.linalg.norm(state.field)), state.centers[row])
+            assert shown.shape is not None
+            before = shown.shape.look(shown.pulls).farthest
+            for center, (x, y) in enumerate(seen.places(shown.places()[0])):
+                grip = shown.grip(seen, x, y)
+                if grip is None or grip.center != center or max(abs(x - 0.5), abs(y - 0.5)) > 0.35:
+                    continue
+                shown.drag(grip, x + 0.03, y - 0.06)
+                after = shown.shape.look(shown.pulls).farthest
+                shown.let_go()
+                if after > 1.05 * before:
+                    return row, center
+        raise AssertionError("no pull has an effect")
+
+    row, center = farther()
+    page.locator("h1").click()
+    page.keyboard.press("r")
+    for place_on_front in range(len(state.centers), row, -1):
+        until(page, lambda at=place_on_front: facts(page)["setup"].startswith(f"{at} of "))
+        if place_on_front > row + 1:
+            page.keyboard.press("ArrowLeft")
+    before = facts(page)
+    x, y = seen.places(shown.places()[0])[center]
     stroke(page, (x, y), (x + 0.03, y - 0.06))
     after = until(page, lambda: facts(page) if facts(page) != before else None)
     assert float(after["largest displacement"].split()[0]) > float(before["largest displacement"].split()[0])
