@@ -140,7 +140,7 @@ def test_each_file_of_one_run_has_its_line(tmp_path: Path) -> None:
             ["method=gradient,given", "method.centrs=a.csv"],
             "method.centrs: none of method=gradient,given has such a key (did you mean method.centers?); choose one of "
             "method.centers, method.coarse, method.front, method.generations, method.memory, method.polish, "
-            "method.population, method.start, method.starts",
+            "method.population, method.rough, method.start, method.starts",
         ),
         (
             ["kernel=triharmonic,wendland", "kernel.radius=3"],

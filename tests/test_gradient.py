@@ -17,7 +17,7 @@ from rbfevo.runs.run import Run
 from rbfevo.scoring.fronts import preferred
 from rbfevo.scoring.pareto import hypervolume, nondominated
 
-SMALL = {"starts": 40, "population": 24, "generations": 60, "polish": 6, "front": 20, "coarse": 300}
+SMALL = {"starts": 40, "population": 24, "generations": 60, "polish": 6, "front": 20, "coarse": 300, "rough": 150}
 
 
 def settings(method: dict, **changes) -> Settings:

@@ -90,7 +90,7 @@ class GradientSearch(Method):
     def start(self, problem: Problem) -> None:
         self.check(problem.preferences)
         self._fine, self._coarse = problem, problem.coarsened(self.coarse)
-        self._problem = problem.coarsened(self.rough)
+        self._problem = self._coarse if self.rough == self.coarse else problem.coarsened(self.rough)
         self._side = problem.space.upper - problem.space.lower
         self._step, self._sharpness, self._renew = 0, SHARPNESS, True
         self._exponents: Tensor | None = None
