@@ -23,7 +23,14 @@ from rbfevo.runs.journal import Journal
 
 NSGA2 = {"_target_": "rbfevo.methods.Nsga2Search", "population": 8, "generations": 7}
 CMAES = {"_target_": "rbfevo.methods.CmaesSearch", "population": 6, "parents": 3, "generations": 6}
-GRADIENT = {"_target_": "rbfevo.methods.GradientSearch", "starts": 16, "population": 16, "polish": 3, "coarse": 160, "rough": 100}
+GRADIENT = {
+    "_target_": "rbfevo.methods.GradientSearch",
+    "starts": 16,
+    "population": 16,
+    "polish": 3,
+    "coarse": 160,
+    "rough": 100,
+}
 LLOYD = {"_target_": "rbfevo.methods.LloydHeuristic", "starts": 2}
 OLS = {"_target_": "rbfevo.methods.OlsHeuristic", "per_axis": 8}
 PANEL = {"_target_": "rbfevo.methods.Panel", "nsga2": NSGA2, "cmaes": CMAES, "lloyd": LLOYD, "ols": OLS}
